@@ -1,0 +1,74 @@
+"""Build gtmr for colcon and for pip alike; name, version and licence stand in package.xml."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+from setuptools import find_packages, setup
+
+manifest = ElementTree.parse("package.xml").getroot()
+maintainer = manifest.find("maintainer")
+
+nodes = ["sim", "nmpc", "monitor"]
+shared = [
+    *Path("config").rglob("*.yaml"),
+    *Path("launch").glob("*.launch.py"),
+    *Path("rviz").glob("*.*"),
+]
+
+setup(
+    name=manifest.findtext("name"),
+    version=manifest.findtext("version"),
+    description=manifest.findtext("description").strip(),
+    license=manifest.findtext("license"),
+    maintainer=maintainer.text,
+    maintainer_email=maintainer.get("email"),
+    package_dir={"": "src"},
+    packages=find_packages("src"),
+    # config/ reaches the wheel through the link src/gtmr_model/config.
+    package_data={
+        "": ["py.typed"],
+        "gtmr_model": ["config/**/*.yaml"],
+        "gtmr_msgs_py": ["*.xml"],
+    },
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/gtmr"]),
+        ("share/gtmr", ["package.xml"]),
+        # `ros2 run` looks into lib/gtmr, where pip puts no console script.
+        ("lib/gtmr", [f"scripts/{node}" for node in nodes]),
+        *((f"share/gtmr/{path.parent}", [str(path)]) for path in sorted(shared)),
+    ],
+    entry_points={"console_scripts": ["gtmr = gtmr_study.cli:main"]},
+    python_requires=">=3.10",
+    install_requires=[
+        "casadi>=3.6.5",
+        "daqp",
+        "dask",
+        "distributed",
+        "matplotlib",
+        "mcap",
+        "numpy>=1.26",
+        "pandas",
+        "plotly",
+        "pydantic>=2",
+        "pyyaml",
+        "rich",
+        "rosbags>=0.11",
+        "scipy",
+        "typer",
+        "zstandard",
+    ],
+    extras_require={
+        # Apart from the rest, because beside an installed ROS 2 it would shadow its rclpy.
+        "ros": ["ros-common-interfaces==5.3.6", "ros-rclpy[fastrtps]==7.1.6"],
+        "test": ["hypothesis", "pytest"],
+        "dev": [
+            "colcon-package-information",
+            "colcon-ros",
+            "import-linter",
+            "mypy",
+            "ruff",
+            "types-PyYAML",
+            "wheel",
+        ],
+    },
+)

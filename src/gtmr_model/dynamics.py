@@ -1,0 +1,197 @@
+"""Equations of motion of the GTMR, eq. (3), once: symbolic, with a NumPy face."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gtmr_model.uncertainty import N_ZETA
+from gtmr_model.vehicle import GRAVITY_M_S2, Vehicle
+
+POSITION = slice(0, 3)
+"""p in x: world ENU [m]."""
+ATTITUDE = slice(3, 6)
+"""eta in x: roll, pitch, yaw of body FLU in world ENU [rad]."""
+VELOCITY = slice(6, 9)
+"""v in x: world ENU [m/s]."""
+RATE = slice(9, 12)
+"""omega in x: body FLU [rad/s]."""
+ROTORS = slice(12, None)
+"""xi in x: rotor speeds [Hz]."""
+YAW = 5
+"""Index of yaw in x."""
+
+
+def rotation(eta: Any) -> Any:
+    """Rotation matrix from body to world, Rz(yaw) Ry(pitch) Rx(roll), symbolic.
+
+    Parameters
+    ----------
+    eta : casadi symbol, shape (3,)
+        Roll, pitch, yaw [rad].
+
+    Returns
+    -------
+    casadi expression, shape (3, 3)
+    """
+    c, s = ca.cos(eta), ca.sin(eta)
+    return ca.vertcat(
+        ca.horzcat(
+            c[2] * c[1], c[2] * s[1] * s[0] - s[2] * c[0], c[2] * s[1] * c[0] + s[2] * s[0]
+        ),
+        ca.horzcat(
+            s[2] * c[1], s[2] * s[1] * s[0] + c[2] * c[0], s[2] * s[1] * c[0] - c[2] * s[0]
+        ),
+        ca.horzcat(-s[1], c[1] * s[0], c[1] * c[0]),
+    )
+
+
+def euler_rate(eta: Any, omega: Any) -> Any:
+    """Rate of roll, pitch and yaw for a body rate, T(eta) omega, symbolic.
+
+    Parameters
+    ----------
+    eta : casadi symbol, shape (3,)
+        Roll, pitch, yaw [rad]; the pitch stays away from +-90 deg.
+    omega : casadi symbol, shape (3,)
+        Body angular velocity [rad/s].
+
+    Returns
+    -------
+    casadi expression, shape (3,)
+        [rad/s].
+    """
+    sin_roll, cos_roll = ca.sin(eta[0]), ca.cos(eta[0])
+    yaw_rate = (sin_roll * omega[1] + cos_roll * omega[2]) / ca.cos(eta[1])
+    return ca.vertcat(
+        omega[0] + ca.sin(eta[1]) * yaw_rate,
+        cos_roll * omega[1] - sin_roll * omega[2],
+        yaw_rate,
+    )
+
+
+def state_derivative(x: Any, u: Any, zeta: Any, w_g: Any, vehicle: Vehicle) -> Any:
+    """Evaluate f(x, u, zeta) + G_w w_g, eq. (3), on CasADi symbols.
+
+    Parameters
+    ----------
+    x : casadi symbol, shape (12 + N_p,)
+        State [p, eta, v, omega, xi]: m, rad, m/s, rad/s, Hz.
+    u : casadi symbol, shape (N_p,)
+        Rotor accelerations [Hz/s].
+    zeta : casadi symbol, shape (9,)
+        Structured uncertainty, eq. (4).
+    w_g : casadi symbol, shape (3,)
+        Gust force, world frame [N].
+    vehicle : Vehicle
+        Nominal parameters.
+
+    Returns
+    -------
+    casadi expression, shape (12 + N_p,)
+        Time derivative of x.
+    """
+    eta, v, omega, xi = x[ATTITUDE], x[VELOCITY], x[RATE], x[ROTORS]
+    mass = (1.0 + zeta[0]) * vehicle.mass_kg
+    inertia = (1.0 + zeta[1:4]) * ca.DM(vehicle.inertia_kg_m2)
+    wrench = (1.0 + zeta[4]) * (ca.DM(vehicle.allocation) @ (xi * xi))
+    drag = (1.0 + zeta[5]) * vehicle.drag_n_s_per_m
+    wind_bias = zeta[6:9]
+
+    force = rotation(eta) @ wrench[:3] - drag * v + wind_bias + w_g
+    gravity = ca.DM([0.0, 0.0, GRAVITY_M_S2])
+    angular_acceleration = (wrench[3:] - ca.cross(omega, inertia * omega)) / inertia
+    return ca.vertcat(v, euler_rate(eta, omega), force / mass - gravity, angular_acceleration, u)
+
+
+def rk4_step(x: Any, step_s: float, derivative: Any) -> Any:
+    """One step of the classical fourth-order Runge-Kutta scheme.
+
+    Parameters
+    ----------
+    x : casadi expression or NDArray
+        State at the start of the step.
+    step_s : float
+        Step length [s].
+    derivative : callable
+        Maps a state to its time derivative; inputs are held over the step.
+
+    Returns
+    -------
+    casadi expression or NDArray
+        State at the end of the step.
+    """
+    k1 = derivative(x)
+    k2 = derivative(x + 0.5 * step_s * k1)
+    k3 = derivative(x + 0.5 * step_s * k2)
+    k4 = derivative(x + step_s * k3)
+    return x + step_s / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+
+
+def symbols(vehicle: Vehicle) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    """Make fresh symbols x, u, zeta, w_g of the right sizes for a vehicle.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Gives the number of rotors.
+
+    Returns
+    -------
+    tuple of casadi.SX
+        x (12 + N_p), u (N_p), zeta (9), w_g (3).
+    """
+    return (
+        ca.SX.sym("x", vehicle.n_x),
+        ca.SX.sym("u", vehicle.n_rotors),
+        ca.SX.sym("zeta", N_ZETA),
+        ca.SX.sym("w_g", 3),
+    )
+
+
+@lru_cache(maxsize=8)
+def _dynamics_function(vehicle: Vehicle) -> ca.Function:
+    x, u, zeta, w_g = symbols(vehicle)
+    return ca.Function("dynamics", [x, u, zeta, w_g], [state_derivative(x, u, zeta, w_g, vehicle)])
+
+
+def dynamics(
+    x: ArrayLike, u: ArrayLike, zeta: ArrayLike, w_g: ArrayLike, vehicle: Vehicle
+) -> NDArray[np.float64]:
+    """Evaluate f(x, u, zeta) + G_w w_g, eq. (3), on numbers.
+
+    Parameters
+    ----------
+    x : array_like, shape (12 + N_p,)
+        State [p, eta, v, omega, xi]: m, rad, m/s, rad/s, Hz; world ENU, omega in body FLU.
+    u : array_like, shape (N_p,)
+        Rotor accelerations [Hz/s].
+    zeta : array_like, shape (9,)
+        Structured uncertainty, eq. (4): relative, wind bias in N.
+    w_g : array_like, shape (3,)
+        Gust force, world frame [N].
+    vehicle : Vehicle
+        Nominal parameters.
+
+    Returns
+    -------
+    NDArray, shape (12 + N_p,)
+        Time derivative of x.
+
+    Raises
+    ------
+    ValueError
+        If an argument has the wrong length.
+    """
+    sizes = {"x": vehicle.n_x, "u": vehicle.n_rotors, "zeta": N_ZETA, "w_g": 3}
+    arrays = []
+    for (name, size), value in zip(sizes.items(), (x, u, zeta, w_g), strict=True):
+        array = np.asarray(value, dtype=float)
+        if array.shape != (size,):
+            raise ValueError(f"{name} has shape {array.shape}, expected ({size},)")
+        arrays.append(array)
+    return np.asarray(_dynamics_function(vehicle)(*arrays)).ravel()

@@ -1,0 +1,49 @@
+"""The tower: a vertical cylinder on the z axis of the world frame (Sec. II-A)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from gtmr_model.yaml_model import YamlModel
+
+
+class Tower(YamlModel):
+    """A vertical cylinder that the vehicle must keep away from."""
+
+    radius_m: float = Field(1.0, gt=0.0)
+    """R [m] (Table I)."""
+    min_clearance_m: float = Field(0.2, gt=0.0)
+    """d_min, the least admissible clearance [m] (Table I)."""
+
+    def clearance(self, position: ArrayLike) -> NDArray[np.float64]:
+        """Distance to the tower's surface, d_T(p) = rho(p) - R (Sec. II-A).
+
+        Parameters
+        ----------
+        position : array_like, shape (..., 3) or longer in the last axis
+            Positions, or states that start with a position, world frame [m].
+
+        Returns
+        -------
+        NDArray, shape (...,)
+            [m], negative inside the tower.
+        """
+        p = np.asarray(position, dtype=float)
+        return np.hypot(p[..., 0], p[..., 1]) - self.radius_m
+
+    def residual(self, position: ArrayLike) -> NDArray[np.float64]:
+        """Clearance residual s = d_min - d_T(p); above zero the constraint (1) is violated.
+
+        Parameters
+        ----------
+        position : array_like, shape (..., 3) or longer in the last axis
+            Positions, or states that start with a position, world frame [m].
+
+        Returns
+        -------
+        NDArray, shape (...,)
+            [m].
+        """
+        return self.min_clearance_m - self.clearance(position)

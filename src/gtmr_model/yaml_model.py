@@ -1,0 +1,159 @@
+"""Frozen, validated data with a YAML face: the base of every configuration in the suite."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+from typing_extensions import Self
+
+
+class ConfigError(ValueError):
+    """A configuration that cannot be used; the message is one line naming field and value."""
+
+
+def describe(error: ValidationError) -> str:
+    """Say in one line which fields are wrong, which values they had and what is allowed.
+
+    Parameters
+    ----------
+    error : pydantic.ValidationError
+        What validation of a configuration raised.
+
+    Returns
+    -------
+    str
+        For example ``mass_kg = -1.0: Input should be greater than 0``.
+    """
+    problems = []
+    for problem in error.errors():
+        field = ".".join(str(part) for part in problem["loc"])
+        reason = problem["msg"].removeprefix("Value error, ")
+        if problem["type"] == "missing":
+            problems.append(f"{field} is missing")
+        elif problem["type"] == "extra_forbidden":
+            problems.append(f"{field} is not a known field")
+        elif not field:
+            problems.append(reason)
+        else:
+            problems.append(f"{field} = {problem['input']!r}: {reason}")
+    return "; ".join(problems)
+
+
+class YamlModel(BaseModel):
+    """An immutable configuration: unknown fields and values out of range are refused."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
+    )
+
+    @classmethod
+    def parse(cls, data: Any, source: str) -> Self:
+        """Validate plain data, for example the content of a YAML file.
+
+        Parameters
+        ----------
+        data : Any
+            A mapping from field names to values.
+        source : str
+            Where the data came from, for the error message.
+
+        Returns
+        -------
+        Self
+            The validated configuration.
+
+        Raises
+        ------
+        ConfigError
+            If a field is missing, unknown or out of range.
+        """
+        try:
+            return cls.model_validate(data)
+        except ValidationError as error:
+            raise ConfigError(f"{source}: {describe(error)}") from None
+
+    @classmethod
+    def from_yaml(cls, path: str | Path) -> Self:
+        """Read and validate a YAML file.
+
+        Parameters
+        ----------
+        path : str or pathlib.Path
+            The file.
+
+        Returns
+        -------
+        Self
+            The validated configuration.
+
+        Raises
+        ------
+        ConfigError
+            If the file cannot be read, is no YAML, or a field is missing, unknown or out of range.
+        """
+        path = Path(path)
+        try:
+            data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise ConfigError(f"{path}: {error.strerror}") from None
+        except (UnicodeDecodeError, yaml.YAMLError) as error:
+            reason = " ".join(str(error).split())
+            raise ConfigError(f"{path}: not a YAML file: {reason}") from None
+        return cls.parse(data, str(path))
+
+    @classmethod
+    def preset(cls, kind: str, name: str) -> Self:
+        """Read one of the configurations that come with the package.
+
+        Parameters
+        ----------
+        kind : str
+            The folder under ``config/``, for example ``vehicle``.
+        name : str
+            A preset of that kind, for example ``paper``.
+
+        Returns
+        -------
+        Self
+            The validated configuration.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such preset.
+        """
+        folder = files("gtmr_model") / "config" / kind
+        files_there = (Path(entry.name) for entry in folder.iterdir())
+        known = sorted(file.stem for file in files_there if file.suffix == ".yaml")
+        if name not in known:
+            raise ConfigError(f"{kind} = {name!r}: there is {', '.join(known)}, or a YAML file")
+        return cls.from_yaml(Path(str(folder / f"{name}.yaml")))
+
+    @classmethod
+    def load(cls, kind: str, name_or_path: str) -> Self:
+        """Read a preset by its name, or a YAML file by its path.
+
+        Parameters
+        ----------
+        kind : str
+            The folder under ``config/``, for example ``vehicle``.
+        name_or_path : str
+            A preset's name, or a path that ends in ``.yaml`` or ``.yml``.
+
+        Returns
+        -------
+        Self
+            The validated configuration.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such preset or file, or its content is wrong.
+        """
+        if name_or_path.endswith((".yaml", ".yml")):
+            return cls.from_yaml(name_or_path)
+        return cls.preset(kind, name_or_path)

@@ -1,0 +1,41 @@
+"""What writing and reading a bag share: its message types and its errors."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+
+class BagError(ValueError):
+    """A bag that cannot be written or read; the message is one line naming the path."""
+
+
+@lru_cache(maxsize=1)
+def typestore() -> Typestore:
+    """Return the message types of ROS 2 Jazzy; needs no ROS."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def without_tail(data: bytes, msgtype: str) -> bytes:
+    """Cut off what Fast DDS leaves behind a message that it serialises in memory.
+
+    It reserves padding in front of elements that an empty sequence does not have, and hands it
+    out at the end of the buffer; strict readers take that for a damaged message. What comes over
+    the wire has no such tail.
+
+    Parameters
+    ----------
+    data : bytes
+        A message in CDR, little-endian.
+    msgtype : str
+        For example ``rcl_interfaces/msg/ParameterEvent``.
+
+    Returns
+    -------
+    bytes
+    """
+    definition = typestore().get_msgdef(msgtype)
+    _, end = definition.deserialize_cdr_le(data[4:], 0, definition.cls, typestore())
+    return data[: 4 + end]

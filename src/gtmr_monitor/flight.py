@@ -1,0 +1,139 @@
+"""A recorded flight: what reports are made from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gtmr_model import Helix, Tower
+from gtmr_monitor.residual import (
+    ResidualStatistics,
+    SolveStatistics,
+    residual_statistics,
+    solve_statistics,
+)
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Margins:
+    """What tightened the clearance constraint, eq. (14), at M controller steps."""
+
+    t: Array
+    """When [s], shape (M,)."""
+    by_channel: Array
+    """The terms |Pi_y,i,j| w_bar_j of alpha_p, eq. (12) [m], shape (M, N + 1, 9)."""
+    eps_s: Array
+    """The constant term of eq. (12) [m], shape (M, N + 1)."""
+    alpha_g: Array
+    """Gust margin, eq. (13) [m], shape (M, N + 1)."""
+    slack: Array
+    """By how much the plan violates the tightened clearance [m], shape (M, N + 1)."""
+
+    @property
+    def alpha_p(self) -> Array:
+        """Parametric margin, eq. (12), eps_s included [m], shape (M, N + 1)."""
+        total: Array = self.by_channel.sum(axis=2) + self.eps_s
+        return total
+
+    @property
+    def total(self) -> Array:
+        """alpha_p + alpha_g [m], shape (M, N + 1)."""
+        return self.alpha_p + self.alpha_g
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One flight as it was recorded; every time is in seconds since its first odometry."""
+
+    name: str
+    """What to call it."""
+    source: Path
+    """The bag."""
+    t: Array
+    """Times of the odometry [s], shape (n,)."""
+    p: Array
+    """Position, world ENU [m], shape (n, 3)."""
+    eta: Array
+    """Roll, pitch, yaw of body FLU in world ENU [rad], shape (n, 3)."""
+    recorded_residual: Array
+    """s as the monitor published it [m], one for each of its messages."""
+    t_rotors: Array
+    """Times of the rotor speeds [s], shape (r,)."""
+    rotor_speed_hz: Array
+    """Rotor speeds [Hz], shape (r, N_p)."""
+    margins: Margins
+    """Margins of the controller steps; all zero while the mode is nominal."""
+    t_solve: Array
+    """Times of the controller steps [s], shape (k,)."""
+    solve_ms: Array
+    """Time per controller step [ms], shape (k,)."""
+    modes: tuple[tuple[float, str], ...]
+    """From when on [s] which controller mode was flown, in order; empty if not recorded."""
+    deadline_ms: float
+    """T_s, within which a step should be done [ms]; NaN if not recorded."""
+    tower: Tower
+    """What was flown round."""
+    helix: Helix
+    """What was to be followed."""
+    zeta: tuple[float, ...] | None = None
+    """The true mismatch and wind bias, eq. (4), 9 numbers; None if not recorded."""
+    gust: str | None = None
+    """Which gusts blew; None if not recorded."""
+    seed: int | None = None
+    """Seed of the gusts; None if not recorded."""
+    parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Last known value of every parameter, by fully qualified node name."""
+    truncated: bool = False
+    """Whether the bag has no end, because its writer was killed."""
+
+    @property
+    def mode(self) -> str:
+        """``nominal``, ``robust``, both joined by an arrow if it was switched, or ``unknown``."""
+        return " → ".join(mode for _, mode in self.modes) or "unknown"
+
+    @property
+    def duration_s(self) -> float:
+        """From the first odometry to the last [s]."""
+        return float(self.t[-1])
+
+    @cached_property
+    def clearance(self) -> Array:
+        """d_T at the times of the odometry [m], shape (n,)."""
+        return self.tower.clearance(self.p)
+
+    @cached_property
+    def residual(self) -> Array:
+        """Residual s = d_min - d_T at the times of the odometry [m], shape (n,)."""
+        return self.tower.residual(self.p)
+
+    @cached_property
+    def heading_error(self) -> Array:
+        """Yaw minus the bearing to the tower's axis [rad], shape (n,), within +-pi."""
+        bearing = np.arctan2(-self.p[:, 1], -self.p[:, 0])
+        error: Array = np.angle(np.exp(1j * (self.eta[:, 2] - bearing)))
+        return error
+
+    @property
+    def deadline_misses(self) -> int | None:
+        """How many controller steps took longer than T_s; None if that was not recorded."""
+        if not self.solve_ms.size or np.isnan(self.deadline_ms):
+            return None
+        return int((self.solve_ms > self.deadline_ms).sum())
+
+    @property
+    def residual_statistics(self) -> ResidualStatistics:
+        """The clearance residual in figures."""
+        return residual_statistics(self.residual, self.tower.min_clearance_m)
+
+    @property
+    def solve_statistics(self) -> SolveStatistics | None:
+        """The solve times in figures [ms]; None if none was recorded."""
+        return solve_statistics(self.solve_ms) if self.solve_ms.size else None

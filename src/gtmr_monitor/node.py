@@ -1,0 +1,321 @@
+"""The monitor as a ROS 2 node: watches the clearance residual and records the flight."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any, cast
+
+from nav_msgs.msg import Odometry
+from rcl_interfaces.msg import Parameter, ParameterEvent
+from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile, qos_profile_parameter_events
+from rclpy.serialization import deserialize_message, serialize_message
+
+from gtmr_model import ConfigError, Tower, YamlModel
+from gtmr_monitor.bag import BagError, without_tail
+from gtmr_monitor.bag_writer import BagWriter, OfferedQos
+from gtmr_monitor.residual import ResidualWatch
+from gtmr_msgs_py import clearance, diagnostics, odometry, topics
+from gtmr_msgs_py.diagnostics import Level
+from gtmr_msgs_py.message_error import MessageError
+from gtmr_msgs_py.parameters import ModelParameters
+from gtmr_msgs_py.process import run
+
+DIAGNOSTICS_PERIOD_S = 1.0
+"""Between two messages on /diagnostics, wall time [s]."""
+FLUSH_PERIOD_S = 0.5
+"""Between two flushes of the bag where no messages come that would cause one, wall time [s]."""
+PARAMETERS_PERIOD_S = 0.1
+"""Between two looks for nodes whose parameters are not yet in the bag, wall time [s]."""
+WARNING_PERIOD_S = 5.0
+"""Least time between two warnings about the same [s]."""
+OWN_TOPICS = (topics.CLEARANCE, topics.CLEARANCE_RESIDUAL)
+"""Written into the bag as they are published; everything else comes by subscription."""
+PARAMETER_EVENTS = "/parameter_events"
+PARAMETER_EVENT = "rcl_interfaces/msg/ParameterEvent"
+
+
+class MonitorParameters(YamlModel):
+    """The parameters of the node."""
+
+    tower: Tower = Tower()
+    """What to keep away from."""
+    bag: str = ""
+    """Folder to record the flight into, new or empty; empty for no recording."""
+
+
+class ParameterFetch:
+    """Asks a node for all its parameters whenever it appears in the graph.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Who asks.
+    target : str
+        Fully qualified name of the node to ask.
+    on_parameters : callable
+        Gets the answer as an event.
+    """
+
+    def __init__(
+        self, node: Node, target: str, on_parameters: Callable[[ParameterEvent], None]
+    ) -> None:
+        self._target = target
+        self._on_parameters = on_parameters
+        self._list = node.create_client(ListParameters, f"{target}/list_parameters")
+        self._get = node.create_client(GetParameters, f"{target}/get_parameters")
+        self._asked = False
+
+    def poll(self) -> None:
+        """Ask if the node is there and was not asked since it appeared."""
+        if not (self._list.service_is_ready() and self._get.service_is_ready()):
+            self._asked = False
+        elif not self._asked:
+            self._asked = True
+            self._list.call_async(ListParameters.Request()).add_done_callback(self._on_names)
+
+    def _on_names(self, future: Any) -> None:
+        names = future.result().result.names
+        answer = self._get.call_async(GetParameters.Request(names=names))
+        answer.add_done_callback(partial(self._on_values, names))
+
+    def _on_values(self, names: list[str], future: Any) -> None:
+        event = ParameterEvent(node=self._target)
+        for name, value in zip(names, future.result().values, strict=True):
+            event.new_parameters.append(Parameter(name=name, value=value))
+        self._on_parameters(event)
+
+
+class MonitorNode(Node):
+    """Publishes clearance and residual for every odometry message, and records every topic.
+
+    Raises
+    ------
+    ConfigError
+        If a parameter cannot be used, such as a bag folder with something in it.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("monitor")
+        self._settings = ModelParameters(self, MonitorParameters)
+        self._watch = ResidualWatch()
+        self._unusable = 0
+        self._unwritten = 0
+        self._bag = self._open_bag(self._settings.value.bag)
+
+        self._clearance = topics.CLEARANCE.publisher(self)
+        self._residual = topics.CLEARANCE_RESIDUAL.publisher(self)
+        self._status = topics.DIAGNOSTICS.publisher(self)
+        # The flight's time may stand still or run fast; a bag is kept by the wall's.
+        wall = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose, clock=wall)
+        self._odometry_name = self.resolve_topic_name(topics.ODOM.name)
+        # The annotation knows only callbacks without the middleware's times.
+        topics.ODOM.subscription(self, cast(Any, self._on_odometry), raw=True)
+        self._fetches: list[ParameterFetch] = []
+        if self._bag is None:
+            return
+        self._record_everything()
+        self.create_timer(FLUSH_PERIOD_S, self._flush, clock=wall)
+        self.create_timer(PARAMETERS_PERIOD_S, self._poll_parameters, clock=wall)
+        self._write_parameters(self._own_parameters())
+        self.get_logger().info(f"recording into {self._bag.folder}")
+
+    def destroy_node(self) -> None:
+        """Close the bag, with what has already arrived, and take the node out of the graph."""
+        bag = self._bag
+        if bag is not None:
+            self._take_what_arrived()
+            self._bag = None
+            try:
+                bag.close()
+            except BagError as error:
+                self.get_logger().error(str(error))
+        super().destroy_node()
+
+    def _open_bag(self, folder: str) -> BagWriter | None:
+        if not folder:
+            return None
+        try:
+            bag = BagWriter(folder)
+        except BagError as error:
+            raise ConfigError(f"{self.get_name()}: bag = {error}") from None
+        for topic in topics.TOPICS:
+            name = self.resolve_topic_name(topic.name)
+            bag.add_topic(name, topic.type_name, _offered(topic.qos))
+        bag.add_topic(
+            PARAMETER_EVENTS,
+            PARAMETER_EVENT,
+            _offered(qos_profile_parameter_events),
+        )
+        return bag
+
+    def _record_everything(self) -> None:
+        for topic in topics.TOPICS:
+            if topic not in (topics.ODOM, *OWN_TOPICS):
+                self._record(topic.message, self.resolve_topic_name(topic.name), topic.qos)
+        self._record(ParameterEvent, PARAMETER_EVENTS, qos_profile_parameter_events)
+        namespace = self.get_namespace().rstrip("/")
+        publishers = {name for topic in topics.TOPICS for name in topic.publishers}
+        for name in sorted(publishers - {self.get_name()}):
+            self._fetches.append(
+                ParameterFetch(self, f"{namespace}/{name}", self._write_parameters)
+            )
+
+    def _record(self, message: type, name: str, qos: QoSProfile) -> None:
+        self.create_subscription(
+            message,
+            name,
+            partial(self._on_message, name),
+            qos,
+            raw=True,
+            # Every event handler is one more thing to wait for, at every message of any topic.
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+        )
+
+    def _on_message(self, topic: str, data: bytes, info: dict[str, int]) -> None:
+        self._write(topic, data, _received_ns(info), info["source_timestamp"])
+
+    def _on_odometry(self, data: bytes, info: dict[str, int]) -> None:
+        received_ns = _received_ns(info)
+        self._write(self._odometry_name, data, received_ns, info["source_timestamp"])
+        tower = self._settings.value.tower
+        try:
+            stamp_ns, x = odometry.decode(deserialize_message(data, Odometry))
+        except MessageError as error:
+            self._unusable += 1
+            self.get_logger().warning(f"ignored: {error}", throttle_duration_sec=WARNING_PERIOD_S)
+            return
+        residual_m = float(tower.residual(x))
+        self._watch.update(residual_m)
+        distance = clearance.encode(stamp_ns, float(tower.clearance(x)), tower.min_clearance_m)
+        # With the odometry's time in the bag, so that they stay together.
+        self._publish(self._clearance, distance, received_ns)
+        self._publish(self._residual, clearance.encode_residual(residual_m), received_ns)
+
+    def _publish(self, publisher: Publisher, message: Any, log_time_ns: int) -> None:
+        data = serialize_message(message)
+        if self.context.ok():
+            publisher.publish(data)
+        self._write(publisher.topic_name, data, log_time_ns)
+
+    def _write(
+        self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int | None = None
+    ) -> None:
+        if self._bag is None:
+            self._unwritten += bool(self._settings.value.bag)
+            return
+        try:
+            self._bag.write(topic, data, log_time_ns, publish_time_ns)
+        except BagError as error:
+            self._stop_recording(error)
+
+    def _flush(self) -> None:
+        if self._bag is not None:
+            try:
+                self._bag.flush()
+            except BagError as error:
+                self._stop_recording(error)
+
+    def _stop_recording(self, error: BagError) -> None:
+        """Fly on without a bag: a full disk is no reason to stop watching."""
+        self._bag = None
+        self._unwritten += 1
+        self.get_logger().error(f"stopped recording: {error}")
+
+    def _poll_parameters(self) -> None:
+        for fetch in self._fetches:
+            fetch.poll()
+
+    def _own_parameters(self) -> ParameterEvent:
+        names = self.list_parameters([], 0).names
+        parameters = [p.to_parameter_msg() for p in self.get_parameters(names)]
+        return ParameterEvent(node=self.get_fully_qualified_name(), new_parameters=parameters)
+
+    def _write_parameters(self, event: ParameterEvent) -> None:
+        event.stamp = self.get_clock().now().to_msg()
+        data = without_tail(serialize_message(event), PARAMETER_EVENT)
+        self._write(PARAMETER_EVENTS, data, time.time_ns())
+        self._flush()
+
+    def _take_what_arrived(self) -> None:
+        for subscription in self.subscriptions:
+            with subscription.handle:
+                while taken := subscription.handle.take_message(
+                    subscription.msg_type, subscription.raw
+                ):
+                    subscription.callback(*taken)
+
+    def _diagnose(self) -> None:
+        watch, recording = self._watch, self._bag is not None
+        level, message = Level.OK, "clear of the tower"
+        if self._unwritten:
+            level, message = Level.ERROR, "stopped recording: the bag cannot be written"
+        elif watch.current_m > 0.0:
+            level, message = Level.ERROR, "the clearance is violated"
+        elif watch.samples == 0:
+            level, message = Level.STALE, "no odometry"
+        elif watch.violations:
+            level, message = Level.WARN, "the clearance was violated"
+        values: dict[str, diagnostics.Value] = {
+            "recording": recording,
+            "violations": watch.violations,
+            "samples": watch.samples,
+            "unusable_odometry": self._unusable,
+            "messages_written": self._bag.messages if self._bag is not None else 0,
+            "bag_bytes": self._bag.size_bytes if self._bag is not None else 0,
+            "messages_not_written": self._unwritten,
+        }
+        if math.isfinite(watch.worst_m):
+            values |= {"residual_m": watch.current_m, "worst_residual_m": watch.worst_m}
+        self._status.publish(
+            diagnostics.encode(
+                self.get_clock().now().nanoseconds,
+                f"{self.get_name()}: clearance",
+                level,
+                message,
+                values,
+            )
+        )
+
+
+def _received_ns(info: dict[str, int]) -> int:
+    """When the middleware got the message, as callbacks may wait; not all of them tell."""
+    return info["received_timestamp"] or time.time_ns()
+
+
+def _offered(qos: QoSProfile) -> OfferedQos:
+    return OfferedQos(
+        depth=qos.depth,
+        reliability="best_effort" if qos.reliability.name == "BEST_EFFORT" else "reliable",
+        durability="transient_local" if qos.durability.name == "TRANSIENT_LOCAL" else "volatile",
+    )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node ``monitor``.
+
+    Parameters
+    ----------
+    args : list of str, optional
+        Command line with ROS arguments; ``sys.argv`` if left out.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after SIGINT or SIGTERM, 2 for a bad parameter.
+    """
+    return run(MonitorNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,97 @@
+"""What a node says of itself once a second, as diagnostic_msgs/DiagnosticArray."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import IntEnum
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from gtmr_msgs_py import stamps
+
+Value = str | bool | int | float
+
+
+class Level(IntEnum):
+    """How a node is doing."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+def encode(
+    stamp_ns: int,
+    name: str,
+    level: Level,
+    message: str,
+    values: Mapping[str, Value],
+    hardware_id: str = "",
+) -> DiagnosticArray:
+    """Make the diagnostics of a node.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        [ns].
+    name : str
+        What is diagnosed, for example ``nmpc: controller``.
+    level : Level
+        How it is doing.
+    message : str
+        The same in words.
+    values : mapping
+        Figures by name; names end in their unit.
+    hardware_id : str
+        Which vehicle.
+
+    Returns
+    -------
+    diagnostic_msgs.msg.DiagnosticArray
+    """
+    status = DiagnosticStatus(
+        name=name,
+        level=bytes([level]),
+        message=message,
+        hardware_id=hardware_id,
+        values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
+    )
+    msg = DiagnosticArray(status=[status])
+    msg.header.stamp = stamps.encode(stamp_ns)
+    return msg
+
+
+def decode(status: DiagnosticStatus) -> dict[str, Value]:
+    """Read the figures of a status.
+
+    Parameters
+    ----------
+    status : diagnostic_msgs.msg.DiagnosticStatus
+        From any node.
+
+    Returns
+    -------
+    dict
+        Whole numbers, other numbers, true and false as what they are, everything else as text.
+    """
+    return {pair.key: _value(pair.value) for pair in status.values}
+
+
+def _text(value: Value) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return str(value)
+
+
+def _value(text: str) -> Value:
+    if text in ("true", "false"):
+        return text == "true"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text

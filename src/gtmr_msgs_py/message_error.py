@@ -1,0 +1,5 @@
+"""What a message that cannot be used raises."""
+
+
+class MessageError(ValueError):
+    """A message that breaks the contract; the text is one line naming field and value."""

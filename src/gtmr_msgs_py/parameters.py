@@ -1,0 +1,345 @@
+"""ROS parameters declared from a configuration model: one field, one parameter, no boilerplate.
+
+Nested models become dotted names. Description, unit, range and choices come from the field; what
+ROS cannot express is checked by building the model from the proposed values.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from array import array
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Generic,
+    Literal,
+    TypeVar,
+    cast,
+    get_args,
+    get_origin,
+)
+
+import annotated_types
+from pydantic.fields import FieldInfo
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    ParameterException,
+)
+from rclpy.parameter import Parameter
+
+from gtmr_model import ConfigError, YamlModel
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+M = TypeVar("M", bound=YamlModel)
+
+INT64_MAX = 2**63 - 1
+"""Largest value of an integer parameter."""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """The range that a field's constraints allow."""
+
+    low: float | None = None
+    """Smallest value, or none."""
+    high: float | None = None
+    """Largest value, or none."""
+    text: str = ""
+    """The same in words; here alone is said that a bound itself is not allowed."""
+
+    @classmethod
+    def of(cls, constraints: Collection[Any]) -> Bounds:
+        """Collect the bounds among the constraints that pydantic keeps of a field.
+
+        Parameters
+        ----------
+        constraints : collection
+            Of annotated_types; others are passed over.
+
+        Returns
+        -------
+        Bounds
+        """
+        low: float | None = None
+        high: float | None = None
+        words = []
+        for constraint in constraints:
+            match constraint:
+                case annotated_types.Ge(ge=bound):
+                    low, word = float(cast(float, bound)), "at least"
+                case annotated_types.Gt(gt=bound):
+                    low, word = float(cast(float, bound)), "greater than"
+                case annotated_types.Le(le=bound):
+                    high, word = float(cast(float, bound)), "at most"
+                case annotated_types.Lt(lt=bound):
+                    high, word = float(cast(float, bound)), "less than"
+                case _:
+                    continue
+            words.append(f"{word} {bound:g}")
+        return cls(low, high, ", ".join(words))
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """One ROS parameter of a configuration."""
+
+    path: tuple[str, ...]
+    """Field names from the model down."""
+    value: Any
+    """Default, of a type that ROS knows."""
+    descriptor: ParameterDescriptor = field(compare=False)
+    """What ``ros2 param describe`` shows."""
+
+    @property
+    def name(self) -> str:
+        """The parameter's name, dotted."""
+        return ".".join(self.path)
+
+
+def declarations(
+    model: YamlModel, presets: Mapping[str, str] | None = None, dynamic: Collection[str] = ()
+) -> list[Declaration]:
+    """List the parameters that a configuration becomes.
+
+    Parameters
+    ----------
+    model : YamlModel
+        The configuration whose values are the defaults.
+    presets : mapping, optional
+        Top-level fields that are one string, a preset's name or the path of a YAML file, with
+        the default name.
+    dynamic : collection of str
+        Names of the parameters that may change while the node runs.
+
+    Returns
+    -------
+    list of Declaration
+    """
+    return list(_declarations(model, presets or {}, frozenset(dynamic), ()))
+
+
+def _declarations(
+    model: YamlModel, presets: Mapping[str, str], dynamic: frozenset[str], above: tuple[str, ...]
+) -> Iterator[Declaration]:
+    for name, info in type(model).model_fields.items():
+        path = (*above, name)
+        value = getattr(model, name)
+        read_only = ".".join(path) not in dynamic
+        if not above and name in presets:
+            descriptor = ParameterDescriptor(
+                description=_sentence(info),
+                additional_constraints="name of a preset, or path of a .yaml file",
+                read_only=read_only,
+            )
+            yield Declaration(path, presets[name], descriptor)
+        elif isinstance(value, YamlModel):
+            yield from _declarations(value, presets, dynamic, path)
+        else:
+            default = _ros_value(value, info.annotation)
+            yield Declaration(path, default, _descriptor(info, read_only))
+
+
+def _descriptor(info: FieldInfo, read_only: bool) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(description=_sentence(info), read_only=read_only)
+    annotation, bounds = info.annotation, Bounds.of(info.metadata)
+    if get_origin(annotation) is Literal:
+        descriptor.additional_constraints = "one of: " + ", ".join(get_args(annotation))
+        return descriptor
+    if get_origin(annotation) is tuple:
+        descriptor.additional_constraints = _tuple_constraints(info)
+        return descriptor
+    descriptor.additional_constraints = bounds.text
+    if bounds.low is None and bounds.high is None:
+        return descriptor
+    # A ROS range includes its ends, and a missing end is infinity; the model refuses the rest.
+    if annotation is int:
+        descriptor.integer_range = [
+            IntegerRange(
+                from_value=-INT64_MAX if bounds.low is None else int(bounds.low),
+                to_value=INT64_MAX if bounds.high is None else int(bounds.high),
+                step=0,
+            )
+        ]
+    elif annotation is float:
+        descriptor.floating_point_range = [
+            FloatingPointRange(
+                from_value=-math.inf if bounds.low is None else bounds.low,
+                to_value=math.inf if bounds.high is None else bounds.high,
+                step=0.0,
+            )
+        ]
+    return descriptor
+
+
+def _tuple_constraints(info: FieldInfo) -> str:
+    items = get_args(info.annotation)
+    if items[-1] is Ellipsis:
+        size = next(c.min_length for c in info.metadata if hasattr(c, "min_length"))
+    else:
+        size = len(items)
+    constraints: list[Any] = []
+    if get_origin(items[0]) is Annotated:
+        for extra in items[0].__metadata__:
+            constraints += extra.metadata if isinstance(extra, FieldInfo) else [extra]
+    each = Bounds.of(constraints).text
+    return f"{size} numbers, each {each}" if each else f"{size} numbers"
+
+
+def _sentence(info: FieldInfo) -> str:
+    return " ".join((info.description or "").split())
+
+
+def _ros_value(value: Any, annotation: Any) -> Any:
+    """Convert by the annotation, as a default of 0 for a float would become an integer."""
+    if get_origin(annotation) is Annotated:
+        annotation = get_args(annotation)[0]
+    if get_origin(annotation) is tuple:
+        return [_ros_value(item, get_args(annotation)[0]) for item in value]
+    if get_origin(annotation) is Literal:
+        return str(value)
+    return annotation(value)
+
+
+class ModelParameters(Generic[M]):
+    """The parameters of a node, held together by the configuration that they make up.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Whose parameters they are.
+    model_type : type
+        The configuration; its defaults are the parameters' defaults.
+    presets : mapping, optional
+        Top-level fields that are one string, a preset's name or the path of a YAML file, with
+        the default name.
+    dynamic : collection of str
+        Names of the parameters that may change while the node runs; all others are read-only.
+    settle : callable, optional
+        Maps the configuration at start to the one to use; what it changes is set before
+        parameters become read-only. For values that are drawn or computed once.
+    on_change : callable, optional
+        Gets the new configuration after a dynamic parameter was set.
+
+    Raises
+    ------
+    ConfigError
+        If a value from the command line or a parameter file has a wrong type or is refused.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        model_type: type[M],
+        presets: Mapping[str, str] | None = None,
+        dynamic: Collection[str] = (),
+        settle: Callable[[M], M] | None = None,
+        on_change: Callable[[M], None] | None = None,
+    ) -> None:
+        self._node = node
+        self._model_type = model_type
+        self._presets = presets or {}
+        self._on_change = on_change
+        self._declarations = {
+            declaration.name: declaration
+            for declaration in declarations(model_type(), self._presets, dynamic)
+        }
+        self._declare()
+        self.value: M = self._build({})
+        """The configuration in force."""
+        if settle is not None:
+            self._settle(settle(self.value))
+        self._fix()
+        node.add_on_set_parameters_callback(self._validate)
+        node.add_post_set_parameters_callback(self._apply)
+
+    def _declare(self) -> None:
+        for name, declaration in self._declarations.items():
+            # Read-only comes last: until then values may still be settled.
+            descriptor = copy.deepcopy(declaration.descriptor)
+            descriptor.read_only = False
+            try:
+                self._node.declare_parameter(name, declaration.value, descriptor)
+            except InvalidParameterTypeException:
+                expected = Parameter.Type.from_parameter_value(declaration.value).name.lower()
+                raise ConfigError(
+                    f"{self._node.get_name()}: {name} has a value of the wrong type: expected "
+                    f"{expected.replace('_', ' ')}, as {declaration.value!r}"
+                ) from None
+            except InvalidParameterValueException as error:
+                reason = str(error).rpartition("Reason: ")[2].removesuffix(f": {name}")
+                raise ConfigError(f"{self._node.get_name()}: {reason}") from None
+            except ParameterException as error:
+                raise ConfigError(f"{self._node.get_name()}: {name}: {error}") from None
+
+    def _settle(self, value: M) -> None:
+        self.value = value
+        settled = [
+            Parameter(declaration.name, value=declaration.value)
+            for declaration in declarations(value, self._presets)
+            if declaration.name not in self._presets
+        ]
+        changed = [
+            parameter
+            for parameter in settled
+            if parameter.value != _plain(self._node.get_parameter(parameter.name).value)
+        ]
+        self._node.set_parameters(changed)
+
+    def _fix(self) -> None:
+        for name, declaration in self._declarations.items():
+            descriptor = copy.deepcopy(self._node.describe_parameter(name))
+            descriptor.read_only = declaration.descriptor.read_only
+            self._node.set_descriptor(name, descriptor)
+
+    def _build(self, proposed: Mapping[str, Any]) -> M:
+        data: dict[str, Any] = {}
+        for name, declaration in self._declarations.items():
+            value = proposed.get(name, self._node.get_parameter(name).value)
+            if name in self._presets:
+                value = _preset(self._model_type, name, value)
+            branch = data
+            for part in declaration.path[:-1]:
+                branch = branch.setdefault(part, {})
+            branch[declaration.path[-1]] = _plain(value)
+        return self._model_type.parse(data, self._node.get_name())
+
+    def _ours(self, parameters: Collection[Parameter]) -> dict[str, Any]:
+        return {p.name: p.value for p in parameters if p.name in self._declarations}
+
+    def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
+        proposed = self._ours(parameters)
+        if proposed:
+            try:
+                self._build(proposed)
+            except ConfigError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _apply(self, parameters: list[Parameter]) -> None:
+        if self._ours(parameters):
+            self.value = self._build({})
+            if self._on_change is not None:
+                self._on_change(self.value)
+
+
+def _preset(model_type: type[YamlModel], name: str, value: str) -> YamlModel:
+    annotation = cast("type[YamlModel]", model_type.model_fields[name].annotation)
+    return annotation.load(name, value)
+
+
+def _plain(value: Any) -> Any:
+    """Turn the arrays that rclpy keeps into lists."""
+    return list(value) if isinstance(value, array) else value

@@ -1,0 +1,63 @@
+"""A node as a process: start, spin, end without a traceback."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import sys
+from collections.abc import Callable
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+
+from gtmr_model import ConfigError
+
+BAD_INPUT = 2
+"""Exit code when a parameter or an argument cannot be used."""
+
+
+def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
+    """Run one node until it is told to stop.
+
+    Parameters
+    ----------
+    make_node : callable
+        Makes the node; a ConfigError is reported in one line.
+    args : list of str, optional
+        Command line with ROS arguments; ``sys.argv`` if left out.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after SIGINT, SIGTERM or the node's own end (SystemExit), 2 for bad input.
+    """
+    try:
+        rclpy.init(args=args)
+    except RuntimeError as error:
+        reason = " ".join(str(error).partition(", at /")[0].split())
+        sys.stderr.write(f"error: {reason}\n")
+        return BAD_INPUT
+    node = None
+    try:
+        node = make_node()
+        # What start-up made lives as long as the process: no collection need look at it again.
+        gc.collect()
+        gc.freeze()
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException, SystemExit):
+        pass
+    except ConfigError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return BAD_INPUT
+    except Exception:
+        # A signal closes the context even under a node that is being made, or is publishing.
+        if rclpy.ok():
+            raise
+    finally:
+        # A second Ctrl-C must not tear the teardown apart.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0

@@ -1,0 +1,88 @@
+"""Rotor speeds as sensor_msgs/JointState: Hz in the state, rad/s in the message."""
+
+from __future__ import annotations
+
+import math
+from array import array
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sensor_msgs.msg import JointState
+
+from gtmr_msgs_py import stamps
+from gtmr_msgs_py.message_error import MessageError
+
+RAD_PER_TURN = 2.0 * math.pi
+"""From Hz to rad/s, and from Hz/s to rad/s^2."""
+
+
+def rotor_names(n_rotors: int) -> list[str]:
+    """Name the rotors, as joints.
+
+    Parameters
+    ----------
+    n_rotors : int
+        N_p.
+
+    Returns
+    -------
+    list of str
+        ``rotor_0`` on, in the order of the state.
+    """
+    return [f"rotor_{i}" for i in range(n_rotors)]
+
+
+def encode(stamp_ns: int, xi: ArrayLike) -> JointState:
+    """Make the rotor states of a state.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        When they were measured [ns]: the stamp of the odometry they belong to.
+    xi : array_like, shape (N_p,)
+        Rotor speeds [Hz].
+
+    Returns
+    -------
+    sensor_msgs.msg.JointState
+    """
+    speeds = RAD_PER_TURN * np.asarray(xi, dtype=float)
+    msg = JointState(name=rotor_names(len(speeds)), velocity=array("d", speeds))
+    msg.header.stamp = stamps.encode(stamp_ns)
+    return msg
+
+
+def decode(msg: JointState, n_rotors: int) -> tuple[int, NDArray[np.float64]]:
+    """Read the rotor speeds, in the order of the state whatever the order of the names.
+
+    Parameters
+    ----------
+    msg : sensor_msgs.msg.JointState
+        Speeds [rad/s]; without names they are taken in order.
+    n_rotors : int
+        N_p, how many rotors the vehicle has.
+
+    Returns
+    -------
+    stamp_ns : int
+        When they were measured [ns].
+    xi : NDArray, shape (N_p,)
+        Rotor speeds [Hz].
+
+    Raises
+    ------
+    MessageError
+        If rotors are missing, or a speed is not finite.
+    """
+    xi = np.array(msg.velocity) / RAD_PER_TURN
+    names = list(msg.name)
+    expected = rotor_names(n_rotors)
+    if len(xi) != n_rotors or (names and sorted(names) != sorted(expected)):
+        raise MessageError(
+            f"rotor_states has {len(xi)} speeds for {names}: expected {', '.join(expected)}"
+        )
+    if names and names != expected:
+        xi = xi[[names.index(name) for name in expected]]
+    if not np.isfinite(xi).all():
+        raise MessageError(f"rotor_states is not finite: {xi} Hz")
+    return stamps.decode(msg.header.stamp), xi

@@ -1,0 +1,66 @@
+"""Everything that defines the controller's problem, with the defaults' sources."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from gtmr_model import Helix, NamedVehicle, Tower, UncertaintySet, Vehicle, YamlModel
+
+Mode = Literal["nominal", "robust"]
+MODES: tuple[Mode, ...] = ("nominal", "robust")
+"""What the mode can be: the clearance constraint as in eq. (5), or tightened as in eq. (15)."""
+Tightening = Literal["frozen", "gradient"]
+
+Weight = Annotated[float, Field(ge=0.0)]
+Weight3 = tuple[Weight, Weight, Weight]
+
+
+class Weights(YamlModel):
+    """Diagonals of Q, Q_u and Q_f, eq. (6)."""
+
+    position: Weight3 = (50.0, 50.0, 80.0)
+    """Q_p [m^-2] (Table I)."""
+    velocity: Weight3 = (5.0, 5.0, 8.0)
+    """Q_v [(m/s)^-2] (Table I)."""
+    acceleration: Weight3 = (1.0, 1.0, 2.0)
+    """Q_a [(m/s^2)^-2] (Table I)."""
+    roll_pitch: Weight = 50.0
+    """Roll and pitch, held level [rad^-2]; not in the paper."""
+    yaw: Weight = 50.0
+    """Yaw, facing the tower [rad^-2]; not in the paper."""
+    rate: Weight = 5.0
+    """Body rates, following the reference's yaw rate [(rad/s)^-2]; not in the paper."""
+    rotor_acceleration: Annotated[float, Field(gt=0.0)] = 1e-4
+    """Q_u [(Hz/s)^-2]; the paper does not report it."""
+    terminal_position: Weight3 = (80.0, 80.0, 120.0)
+    """Q_f [m^-2] (Table I)."""
+
+
+class ControllerConfig(YamlModel):
+    """The optimal control problem, eq. (5) and (15), and how it is solved."""
+
+    vehicle: NamedVehicle = Field(default_factory=Vehicle.paper)
+    """Nominal parameters of the vehicle."""
+    tower: Tower = Tower()
+    """What to keep away from."""
+    helix: Helix = Helix()
+    """What to follow."""
+    uncertainty: UncertaintySet = UncertaintySet()
+    """What the robust mode guards against."""
+    weights: Weights = Weights()
+    """The cost."""
+    horizon: int = Field(20, ge=2, le=100)
+    """N, number of stages (Table I)."""
+    sampling_time_s: float = Field(0.025, gt=0.0, le=0.5)
+    """T_s [s] (Table I)."""
+    eps_s_m: float = Field(1e-3, ge=0.0)
+    """eps_s, the small slack term in alpha_p, eq. (12) [m]; the paper does not report it."""
+    tightening: Tightening = "frozen"
+    """How alpha_p enters the QP: held at the current iterate, or with its gradient (eq. 15)."""
+    slack_l1: float = Field(1e4, gt=0.0)
+    """Linear penalty on violating the tightened clearance at a stage [1/m]; exact while it
+    exceeds the constraint's multiplier."""
+    slack_l2: float = Field(1e4, gt=0.0)
+    """Quadratic penalty on violating the tightened clearance at a stage [1/m^2]."""

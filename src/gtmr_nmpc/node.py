@@ -1,0 +1,287 @@
+"""The controller as a ROS 2 node: odometry and rotor speeds in, the whole plan out."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import cast
+
+import numpy as np
+from nav_msgs.msg import Odometry
+from pydantic import Field
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from gtmr_model.dynamics import ATTITUDE, POSITION, ROTORS
+from gtmr_msgs_py import (
+    diagnostics,
+    markers,
+    odometry,
+    path,
+    rotor_command,
+    rotor_states,
+    solve_time,
+    stamps,
+    tightening,
+    topics,
+)
+from gtmr_msgs_py.diagnostics import Level
+from gtmr_msgs_py.message_error import MessageError
+from gtmr_msgs_py.parameters import ModelParameters
+from gtmr_msgs_py.process import run
+from gtmr_nmpc.config import MODES, ControllerConfig, Mode
+from gtmr_nmpc.controller import Controller
+from gtmr_nmpc.performance import Performance
+from gtmr_nmpc.schedule import Due, Schedule
+from gtmr_nmpc.solution import Solution
+
+DIAGNOSTICS_PERIOD_S = 1.0
+"""Between two messages on /diagnostics, wall time [s]."""
+MARKERS_PERIOD_S = 0.2
+"""Between two sets of markers, odometry time [s]."""
+REFERENCE_PERIOD_S = 1.0
+"""Between two messages of the reference, odometry time [s]."""
+REFERENCE_STEP_S = 0.5
+"""Between two poses of the reference [s]."""
+REFERENCE_POSES = 41
+"""How many poses of the reference ahead: 20 s."""
+WARNING_PERIOD_S = 5.0
+"""Least time between two warnings about the same [s]."""
+
+
+class NmpcParameters(ControllerConfig):
+    """The parameters of the node: the controller's problem, and how it takes part in the graph."""
+
+    mode: Mode = "robust"
+    """``nominal`` for eq. (5), ``robust`` for eq. (15); may change in flight."""
+    max_stamp_difference_s: float = Field(0.0, ge=0.0, le=0.1)
+    """By how much the stamps of odometry and rotor states that are taken together may differ [s];
+    the simulator gives both the same."""
+    recorders: int = Field(0, ge=0, le=10)
+    """How many recorders, such as the monitor, must listen before the first step."""
+
+
+class NmpcNode(Node):
+    """Runs a controller step whenever the odometry is T_s further on.
+
+    Raises
+    ------
+    ConfigError
+        If a parameter cannot be used.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("nmpc")
+        self._settings = ModelParameters(
+            self,
+            NmpcParameters,
+            presets={"vehicle": "paper"},
+            dynamic={"mode"},
+            on_change=self._reconfigure,
+        )
+        config = self._settings.value
+        self._controller = Controller(config, config.mode)
+        self._warm_up()
+        self._schedule = Schedule(stamps.nanoseconds(config.sampling_time_s))
+        self._performance = Performance(config.sampling_time_s)
+        self._last_odometry: Odometry | None = None
+        self._last_rotor_states: JointState | None = None
+        self._last_command: JointTrajectory | None = None
+        self._unusable = 0
+        self._steps_reported = 0
+        self._published_ns: dict[Publisher, int] = {}
+
+        self._rotor_command = topics.ROTOR_COMMAND.publisher(self)
+        self._tightening = topics.TIGHTENING.publisher(self)
+        self._solve_time = topics.SOLVE_TIME.publisher(self)
+        self._predicted_path = topics.PREDICTED_PATH.publisher(self)
+        self._reference = topics.REFERENCE.publisher(self)
+        self._markers = topics.MARKERS.publisher(self)
+        self._diagnostics = topics.DIAGNOSTICS.publisher(self)
+        self.create_timer(
+            DIAGNOSTICS_PERIOD_S, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+        topics.ODOM.subscription(self, self._on_odometry, topics.NEWEST)
+        topics.ROTOR_STATES.subscription(self, self._on_rotor_states, topics.NEWEST)
+        self.get_logger().info(
+            f"{config.vehicle.name}, {config.mode} mode, every {1e3 * config.sampling_time_s:g} ms"
+        )
+
+    def _warm_up(self) -> None:
+        """Evaluate everything once: the first evaluation is slow, and must not be in flight."""
+        config = self._settings.value
+        x = config.helix.initial_state(config.tower, config.vehicle)
+        for mode in MODES:
+            self._controller.mode = mode
+            self._controller.reset()
+            for k in range(2):
+                self._controller.step(k * config.sampling_time_s, x)
+        self._controller.mode = config.mode
+        self._controller.reset()
+
+    def _reconfigure(self, parameters: NmpcParameters) -> None:
+        if parameters.mode != self._controller.mode:
+            self._controller.mode = parameters.mode
+            self.get_logger().info(f"{parameters.mode} mode")
+
+    def _on_odometry(self, msg: Odometry) -> None:
+        self._last_odometry = msg
+        self._step_if_due()
+
+    def _on_rotor_states(self, msg: JointState) -> None:
+        self._last_rotor_states = msg
+        self._step_if_due()
+
+    def _step_if_due(self) -> None:
+        arrival = time.perf_counter()
+        state = self._take_state()
+        if state is None or not self._recorders_listen():
+            return
+        stamp_ns, x = state
+        due = self._schedule.admit(stamp_ns)
+        if due is Due.NOTHING:
+            return
+        if due is Due.REPEAT:
+            self._rotor_command.publish(cast(JointTrajectory, self._last_command))
+            return
+        if due is Due.RESTART:
+            self._controller.reset()
+        solution = self._controller.step(stamps.seconds(self._schedule.time_ns), x)
+        self._last_command = rotor_command.encode(
+            stamp_ns, self._schedule.period_ns, solution.x_plan[:, ROTORS], solution.u_plan
+        )
+        self._rotor_command.publish(self._last_command)
+        self._performance.add(solution, time.perf_counter() - arrival)
+        self._publish_step(stamp_ns, solution)
+        self._controller.prepare(stamps.seconds(self._schedule.next_ns))
+        self._publish_scene(stamp_ns, solution)
+
+    def _take_state(self) -> tuple[int, np.ndarray] | None:
+        """Odometry and rotor states that belong together, once, whichever came first."""
+        if self._last_odometry is None or self._last_rotor_states is None:
+            return None
+        apart_ns = abs(
+            stamps.decode(self._last_odometry.header.stamp)
+            - stamps.decode(self._last_rotor_states.header.stamp)
+        )
+        if apart_ns > stamps.nanoseconds(self._settings.value.max_stamp_difference_s):
+            return None
+        pair = self._last_odometry, self._last_rotor_states
+        self._last_odometry = self._last_rotor_states = None
+        try:
+            stamp_ns, rigid_body = odometry.decode(pair[0])
+            _, xi = rotor_states.decode(pair[1], self._settings.value.vehicle.n_rotors)
+        except MessageError as error:
+            self._unusable += 1
+            self.get_logger().warning(f"ignored: {error}", throttle_duration_sec=WARNING_PERIOD_S)
+            return None
+        return stamp_ns, np.concatenate([rigid_body, xi])
+
+    def _recorders_listen(self) -> bool:
+        """Whether every recorder that was asked for gets what a step publishes."""
+        recorders = self._settings.value.recorders
+        if recorders == 0 or self._performance.steps > 0:
+            return True
+        counts = [p.get_subscription_count() for p in (self._tightening, self._solve_time)]
+        # The simulator listens to the command too.
+        counts.append(self._rotor_command.get_subscription_count() - 1)
+        return min(counts) >= recorders
+
+    def _publish_step(self, stamp_ns: int, solution: Solution) -> None:
+        self._tightening.publish(
+            tightening.encode(
+                solution.alpha_p_by_channel, solution.eps_s, solution.alpha_g, solution.slack
+            )
+        )
+        self._solve_time.publish(solve_time.encode(solution.timing.total_s))
+        self._predicted_path.publish(
+            path.encode(
+                stamp_ns,
+                self._schedule.period_ns,
+                solution.x_plan[:, POSITION],
+                solution.x_plan[:, ATTITUDE],
+            )
+        )
+
+    def _publish_scene(self, stamp_ns: int, solution: Solution) -> None:
+        config = self._settings.value
+        if self._is_time_for(self._reference, stamp_ns, REFERENCE_PERIOD_S):
+            times = stamps.seconds(stamp_ns) + REFERENCE_STEP_S * np.arange(REFERENCE_POSES)
+            ahead = config.helix.at(times, config.tower)
+            level = np.zeros_like(ahead.yaw)
+            self._reference.publish(
+                path.encode(
+                    stamp_ns,
+                    stamps.nanoseconds(REFERENCE_STEP_S),
+                    ahead.position,
+                    np.stack([level, level, ahead.yaw], axis=1),
+                )
+            )
+        if self._is_time_for(self._markers, stamp_ns, MARKERS_PERIOD_S):
+            margin_m = float((solution.alpha_p + solution.alpha_g).max())
+            mode = self._controller.mode
+            shell = markers.tightened_shell(config.tower, margin_m, mode)
+            plan = markers.plan(solution.x_plan[:, POSITION], mode)
+            self._markers.publish(markers.encode(stamp_ns, shell + plan))
+
+    def _is_time_for(self, publisher: Publisher, stamp_ns: int, period_s: float) -> bool:
+        last_ns = self._published_ns.get(publisher)
+        due = last_ns is None or not 0 <= stamp_ns - last_ns < stamps.nanoseconds(period_s)
+        if due:
+            self._published_ns[publisher] = stamp_ns
+        return due
+
+    def _diagnose(self) -> None:
+        performance = self._performance
+        level, message = Level.OK, "in time"
+        if performance.steps == self._steps_reported:
+            level, message = Level.STALE, "no odometry to act upon"
+        elif performance.count("failed"):
+            level, message = Level.ERROR, "the QP solver gave up"
+        elif performance.count("softened"):
+            level, message = Level.WARN, "the tightened clearance is violated"
+        self._steps_reported = performance.steps
+        self._diagnostics.publish(
+            diagnostics.encode(
+                self.get_clock().now().nanoseconds,
+                f"{self.get_name()}: controller",
+                level,
+                message,
+                {
+                    "mode": self._controller.mode,
+                    "qp_status": performance.last_status,
+                    "steps": performance.steps,
+                    "deadline_misses": performance.deadline_misses,
+                    "skipped_steps": self._schedule.skipped,
+                    "unusable_states": self._unusable,
+                    "softened_in_window": performance.count("softened"),
+                    "failed_in_window": performance.count("failed"),
+                    **performance.percentiles_ms(),
+                },
+                hardware_id=self._settings.value.vehicle.name,
+            )
+        )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node ``nmpc``.
+
+    Parameters
+    ----------
+    args : list of str, optional
+        Command line with ROS arguments; ``sys.argv`` if left out.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after SIGINT, 2 for a bad parameter.
+    """
+    return run(NmpcNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

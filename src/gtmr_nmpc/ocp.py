@@ -1,0 +1,136 @@
+"""The nominal optimal control problem, eq. (5) and (6): discretisation, outputs, reference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from gtmr_model.dynamics import (
+    ATTITUDE,
+    POSITION,
+    RATE,
+    VELOCITY,
+    rk4_step,
+    state_derivative,
+    symbols,
+)
+from gtmr_model.uncertainty import N_ZETA
+from gtmr_nmpc.config import ControllerConfig
+
+Array = NDArray[np.float64]
+
+OUTPUTS = (
+    *("position",) * 3,
+    *("velocity",) * 3,
+    *("acceleration",) * 3,
+    *("roll_pitch",) * 2,
+    "yaw",
+    *("rate",) * 3,
+)
+"""What the entries of h(x) are, eq. (6); attitude and rate are not in the paper's cost."""
+N_H = len(OUTPUTS)
+"""Length of h(x)."""
+
+
+def discrete_dynamics(config: ControllerConfig) -> ca.Function:
+    """Discrete dynamics F of eq. (5b): one RK4 step over T_s without gust.
+
+    Parameters
+    ----------
+    config : ControllerConfig
+        Vehicle and sampling time.
+
+    Returns
+    -------
+    casadi.Function
+        (x, u, zeta) -> x_next.
+    """
+    x, u, zeta, _ = symbols(config.vehicle)
+    x_next = rk4_step(
+        x,
+        config.sampling_time_s,
+        lambda x: state_derivative(x, u, zeta, ca.DM.zeros(3), config.vehicle),
+    )
+    return ca.Function("F", [x, u, zeta], [x_next], ["x", "u", "zeta"], ["x_next"])
+
+
+def output_map(config: ControllerConfig) -> ca.Function:
+    """Output map h of eq. (6): position, velocity, acceleration, attitude and body rates.
+
+    Parameters
+    ----------
+    config : ControllerConfig
+        Vehicle.
+
+    Returns
+    -------
+    casadi.Function
+        x -> h, shape (15,); acceleration along eq. (3) at zeta = 0 without gust.
+    """
+    x, u, _, _ = symbols(config.vehicle)
+    nominal = ca.DM.zeros(N_ZETA)
+    acceleration = state_derivative(x, u, nominal, ca.DM.zeros(3), config.vehicle)[VELOCITY]
+    h = ca.vertcat(x[POSITION], x[VELOCITY], acceleration, x[ATTITUDE], x[RATE])
+    return ca.Function("h", [x], [h], ["x"], ["h"])
+
+
+def stage_weights(config: ControllerConfig) -> Array:
+    """Diagonal of Q, eq. (6), in the order of `output_map`.
+
+    Parameters
+    ----------
+    config : ControllerConfig
+        Weights.
+
+    Returns
+    -------
+    NDArray, shape (15,)
+    """
+    w = config.weights
+    return np.array(
+        [*w.position, *w.velocity, *w.acceleration, *(w.roll_pitch,) * 2, w.yaw, *(w.rate,) * 3]
+    )
+
+
+@dataclass(frozen=True)
+class HorizonReference:
+    """r_i of eq. (6) for a whole horizon."""
+
+    stages: Array
+    """References of h at stages 0..N-1, shape (N, 15)."""
+    terminal: Array
+    """Reference of h_f, the position at stage N [m], shape (3,)."""
+
+
+def horizon_reference(config: ControllerConfig, t: float) -> HorizonReference:
+    """Sample the helix over the horizon that starts at t.
+
+    Parameters
+    ----------
+    config : ControllerConfig
+        Helix, tower, horizon.
+    t : float
+        Time of stage 0 [s].
+
+    Returns
+    -------
+    HorizonReference
+    """
+    times = t + config.sampling_time_s * np.arange(config.horizon + 1)
+    helix = config.helix.at(times, config.tower)
+    zeros, ones = np.zeros((len(times), 2)), np.ones((len(times), 1))
+    stages = np.hstack(
+        [
+            helix.position,
+            helix.velocity,
+            helix.acceleration,
+            zeros,
+            helix.yaw[:, None],
+            zeros,
+            helix.yaw_rate * ones,
+        ]
+    )
+    return HorizonReference(stages=stages[:-1], terminal=helix.position[-1])

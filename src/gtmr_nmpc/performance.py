@@ -1,0 +1,91 @@
+"""A running account of how the controller keeps up."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+
+import numpy as np
+
+from gtmr_nmpc.solution import Solution
+
+
+class Performance:
+    """Solve times, deadline misses and solver statuses over the last steps.
+
+    Parameters
+    ----------
+    sampling_time_s : float
+        T_s, the deadline of a step's two phases together [s].
+    window : int
+        How many steps the figures are over.
+    """
+
+    def __init__(self, sampling_time_s: float, window: int = 400) -> None:
+        self.steps = 0
+        """How many steps there were since the start."""
+        self.deadline_misses = 0
+        """How many of them took longer than T_s."""
+        self._deadline_s = sampling_time_s
+        self._solve_s: deque[float] = deque(maxlen=window)
+        self._feedback_s: deque[float] = deque(maxlen=window)
+        self._latency_s: deque[float] = deque(maxlen=window)
+        self._statuses: deque[str] = deque(maxlen=window)
+
+    def add(self, solution: Solution, latency_s: float) -> None:
+        """Take in a step.
+
+        Parameters
+        ----------
+        solution : Solution
+            What the step gave.
+        latency_s : float
+            From receiving the odometry to having sent the command, wall time [s].
+        """
+        self.steps += 1
+        self.deadline_misses += solution.timing.total_s > self._deadline_s
+        self._solve_s.append(solution.timing.total_s)
+        self._feedback_s.append(solution.timing.feedback_s)
+        self._latency_s.append(latency_s)
+        self._statuses.append(solution.status)
+
+    def count(self, status: str) -> int:
+        """Count the steps of the window that ended with a status.
+
+        Parameters
+        ----------
+        status : str
+            As in ``Solution.status``.
+
+        Returns
+        -------
+        int
+        """
+        return Counter(self._statuses)[status]
+
+    @property
+    def last_status(self) -> str:
+        """Status of the last step; ``none`` before the first."""
+        return self._statuses[-1] if self._statuses else "none"
+
+    def percentiles_ms(self) -> dict[str, float]:
+        """Median, 99th percentile and maximum of the window's times.
+
+        Returns
+        -------
+        dict
+            ``solve``, ``feedback`` and ``latency``, each ``_median_ms``, ``_p99_ms`` and
+            ``_max_ms`` [ms]; empty before the first step.
+        """
+        times = {
+            "solve": self._solve_s,
+            "feedback": self._feedback_s,
+            "latency": self._latency_s,
+        }
+        return {
+            f"{name}_{label}_ms": 1e3 * float(value)
+            for name, values in times.items()
+            if values
+            for label, value in zip(
+                ("median", "p99", "max"), np.percentile(values, (50, 99, 100)), strict=True
+            )
+        }

@@ -1,0 +1,72 @@
+"""When a controller step is due, by the stamps of the odometry rather than by any clock."""
+
+from __future__ import annotations
+
+from enum import Enum, auto
+
+
+class Due(Enum):
+    """What an odometry asks for."""
+
+    STEP = auto()
+    """The next step."""
+    RESTART = auto()
+    """A first step: time went back, as after a reset of the simulator, or there was none yet."""
+    REPEAT = auto()
+    """The last command again: this odometry has been answered, but the answer was lost."""
+    NOTHING = auto()
+    """To wait: the next step is not due yet."""
+
+
+class Schedule:
+    """Steps T_s apart, on odometry that may come faster and a little unevenly.
+
+    Parameters
+    ----------
+    period_ns : int
+        T_s [ns].
+    """
+
+    EVENNESS = 10
+    """An odometry within T_s / 10 of the instant that was prepared for is taken as that instant,
+    so that an uneven estimator does not waste the preparation."""
+
+    def __init__(self, period_ns: int) -> None:
+        self.period_ns = period_ns
+        self.time_ns = 0
+        """The instant to plan from [ns]."""
+        self.skipped = 0
+        """How many steps had no odometry, or came too late."""
+        self._answered_ns: int | None = None
+
+    @property
+    def next_ns(self) -> int:
+        """The instant to prepare for [ns]."""
+        return self.time_ns + self.period_ns
+
+    def admit(self, stamp_ns: int) -> Due:
+        """Say what an odometry asks for, and move on if it is a step.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Its stamp [ns].
+
+        Returns
+        -------
+        Due
+        """
+        tolerance_ns = self.period_ns // self.EVENNESS
+        if self._answered_ns is None or stamp_ns < self._answered_ns:
+            self.time_ns, due = stamp_ns, Due.RESTART
+        elif stamp_ns == self._answered_ns:
+            return Due.REPEAT
+        elif stamp_ns < self.next_ns - tolerance_ns:
+            return Due.NOTHING
+        else:
+            late_ns = stamp_ns - self.next_ns
+            self.skipped += max(0, late_ns) // self.period_ns
+            self.time_ns = self.next_ns if late_ns <= tolerance_ns else stamp_ns
+            due = Due.STEP
+        self._answered_ns = stamp_ns
+        return due

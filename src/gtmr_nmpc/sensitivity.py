@@ -1,0 +1,61 @@
+"""Parametric sensitivities Pi = dx/dzeta along a plan, eq. (7) and (8)."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from gtmr_model.uncertainty import N_ZETA
+
+Array = NDArray[np.float64]
+
+
+def propagate(dF_dx: Array, dF_dzeta: Array) -> Array:
+    """Discrete map F_Pi consistent with the RK4 step: Pi_{i+1} = dF/dx Pi_i + dF/dzeta.
+
+    Differentiating the discrete step, not the ODE, makes Pi the exact sensitivity of the plan.
+
+    Parameters
+    ----------
+    dF_dx : NDArray, shape (N, n_x, n_x)
+        Jacobians of the discrete dynamics along the plan.
+    dF_dzeta : NDArray, shape (N, n_x, 9)
+        Likewise, with respect to zeta at zeta_0 = 0.
+
+    Returns
+    -------
+    NDArray, shape (N + 1, n_x, 9)
+        Pi_0..Pi_N with Pi_0 = 0 (eq. 15f).
+    """
+    n, n_x, _ = dF_dzeta.shape
+    pi = np.zeros((n + 1, n_x, N_ZETA))
+    for i in range(n):
+        pi[i + 1] = dF_dx[i] @ pi[i] + dF_dzeta[i]
+    return pi
+
+
+def second_order_adjoint(dynamics: ca.Function) -> ca.Function:
+    """Gradient of lambda^T (dF/dx pi + dF/dzeta s) with respect to x and u.
+
+    It is how one step's contribution to a margin changes with the plan; summed over the steps it
+    gives the gradient of alpha_p without carrying Pi as states.
+
+    Parameters
+    ----------
+    dynamics : casadi.Function
+        (x, u, zeta) -> x_next, on SX.
+
+    Returns
+    -------
+    casadi.Function
+        (x, u, lambda, pi, s) -> gradient, shape (n_x + N_p,).
+    """
+    x, u, zeta = (ca.SX.sym(name, dynamics.size1_in(name)) for name in ("x", "u", "zeta"))
+    lam, pi = ca.SX.sym("lambda", x.numel()), ca.SX.sym("pi", x.numel())
+    s = ca.SX.sym("s", zeta.numel())
+    x_next = dynamics(x, u, zeta)
+    directional = ca.jtimes(x_next, ca.vertcat(x, zeta), ca.vertcat(pi, s))
+    gradient = ca.gradient(ca.dot(lam, directional), ca.vertcat(x, u))
+    gradient = ca.substitute(gradient, zeta, ca.DM.zeros(zeta.numel()))
+    return ca.Function("adjoint", [x, u, lam, pi, s], [ca.densify(gradient)])

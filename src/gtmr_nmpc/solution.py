@@ -1,0 +1,51 @@
+"""What one controller step returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Wall-clock time of the two phases of a step."""
+
+    prepare_s: float
+    """Linearisation, sensitivities, margins and condensing, before the state is known [s]."""
+    feedback_s: float
+    """From the measured state to the command [s]."""
+
+    @property
+    def total_s(self) -> float:
+        """Both phases [s]."""
+        return self.prepare_s + self.feedback_s
+
+
+@dataclass(frozen=True)
+class Solution:
+    """One controller step: the plan over N stages and the margins it was made with."""
+
+    u: NDArray[np.float64]
+    """Rotor accelerations to apply now [Hz/s], shape (N_p,)."""
+    x_plan: NDArray[np.float64]
+    """Predicted states, shape (N + 1, 12 + N_p)."""
+    u_plan: NDArray[np.float64]
+    """Planned rotor accelerations [Hz/s], shape (N, N_p)."""
+    alpha_p: NDArray[np.float64]
+    """Parametric margin per stage, eq. (12), eps_s included [m], shape (N + 1,); zero in nominal
+    mode."""
+    alpha_p_by_channel: NDArray[np.float64]
+    """The terms |Pi_y,i,j| w_bar_j of eq. (12) [m], shape (N + 1, 9)."""
+    eps_s: float
+    """The constant term of eq. (12) [m]; zero in nominal mode."""
+    alpha_g: NDArray[np.float64]
+    """Gust margin per stage, eq. (13) [m], shape (N + 1,); zero in nominal mode."""
+    slack: NDArray[np.float64]
+    """By how much the plan violates the tightened clearance at each stage [m], shape (N + 1,)."""
+    status: str
+    """``solved``; ``softened`` if a slack was used; ``failed`` if the QP solver gave up and the
+    rest of the last plan is returned."""
+    timing: Timing
+    """How long the step took."""

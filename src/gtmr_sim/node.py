@@ -1,0 +1,280 @@
+"""The simulator as a ROS 2 node: plays the plan, publishes odometry, rotor speeds and time."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from pydantic import Field, ValidationInfo, field_validator
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock as ClockMessage
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from gtmr_model.dynamics import ROTORS
+from gtmr_msgs_py import (
+    diagnostics,
+    markers,
+    odometry,
+    rotor_command,
+    rotor_states,
+    stamps,
+    topics,
+)
+from gtmr_msgs_py.diagnostics import Level
+from gtmr_msgs_py.message_error import MessageError
+from gtmr_msgs_py.parameters import ModelParameters
+from gtmr_msgs_py.process import run
+from gtmr_sim.scenario import Scenario
+from gtmr_sim.session import Session
+from gtmr_sim.simulation import Simulation
+
+DIAGNOSTICS_PERIOD_S = 1.0
+"""Between two messages on /diagnostics, wall time [s]."""
+MARKERS_PERIOD_S = 0.2
+"""Between two sets of markers, wall time [s]."""
+RESEND_PERIOD_S = 0.1
+"""How long a state stays unanswered before it is published again, wall time [s]."""
+DELIVERY_TIMEOUT_S = 2.0
+"""How long the end of a flight waits for slow recorders, wall time [s]."""
+WARNING_PERIOD_S = 5.0
+"""Least time between two warnings about the same [s]."""
+
+
+class SimParameters(Scenario):
+    """The parameters of the node: the flight's scenario, and how time goes by."""
+
+    sample_zeta: bool = False
+    """Whether to draw zeta from the uncertainty set by the seed; ``zeta`` then tells it."""
+    sampling_time_s: float = Field(0.025, gt=0.0, le=0.5)
+    """T_s, time between two points of the controller's plan [s]."""
+    lockstep: bool = False
+    """Whether to wait at every sampling time for the command computed from its odometry."""
+    real_time_factor: float = Field(1.0, ge=0.0, le=100.0)
+    """Simulated time per wall time, at most [s/s]; 0 is as fast as possible, in lockstep only."""
+    odometry_rate_hz: float = Field(200.0, gt=0.0, le=1000.0)
+    """How often the state is published, simulated time [Hz]; in lockstep once per sampling time,
+    whatever is said here."""
+    duration_s: float = Field(0.0, ge=0.0)
+    """When the flight is over and the node ends, simulated time [s]; 0 is never."""
+    recorders: int = Field(0, ge=0, le=10)
+    """How many recorders, such as the monitor, must listen beside the controller before the
+    flight starts."""
+
+    @field_validator("real_time_factor")
+    @classmethod
+    def _free_running_needs_lockstep(cls, value: float, info: ValidationInfo) -> float:
+        if value == 0.0 and not info.data.get("lockstep", False):
+            raise ValueError("as fast as possible needs lockstep, or commands come too late")
+        return value
+
+    @field_validator("sampling_time_s")
+    @classmethod
+    def _whole_steps(cls, value: float, info: ValidationInfo) -> float:
+        _require_whole(value, info.data.get("step_s"), "step_s")
+        return value
+
+    @field_validator("odometry_rate_hz")
+    @classmethod
+    def _whole_ticks(cls, value: float, info: ValidationInfo) -> float:
+        if not info.data.get("lockstep", False):
+            _require_whole(1.0 / value, info.data.get("step_s"), "step_s")
+            _require_whole(info.data.get("sampling_time_s"), 1.0 / value, "the odometry's period")
+        return value
+
+    def settled(self) -> SimParameters:
+        """Return the same parameters with ``zeta`` drawn if it shall be."""
+        if not self.sample_zeta:
+            return self
+        return self.model_copy(update={"zeta": self.sampled().zeta})
+
+    @property
+    def tick_s(self) -> float:
+        """Simulated time between two odometry messages [s]."""
+        return self.sampling_time_s if self.lockstep else 1.0 / self.odometry_rate_hz
+
+
+def _require_whole(whole_s: float | None, part_s: float | None, part: str) -> None:
+    """Raise unless one time is a multiple of another; a time that was refused is None."""
+    if whole_s is None or part_s is None:
+        return
+    ratio = whole_s / part_s
+    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
+        raise ValueError(f"{whole_s:g} s must be a whole number of times {part}, {part_s:g} s")
+
+
+class SimNode(Node):
+    """Flies a scenario in real time, or in lockstep with the controller.
+
+    Raises
+    ------
+    ConfigError
+        If a parameter cannot be used.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("sim")
+        self._settings = ModelParameters(
+            self,
+            SimParameters,
+            presets={"vehicle": "paper"},
+            settle=SimParameters.settled,
+        )
+        scenario = self._settings.value
+        self._session = Session(
+            Simulation(scenario, scenario.sampling_time_s),
+            scenario.sampling_time_s,
+            scenario.tick_s,
+            scenario.lockstep,
+            scenario.duration_s,
+        )
+        self._published_at = 0.0
+        self._reported = (time.monotonic(), 0)
+
+        self._clock_time = topics.CLOCK.publisher(self)
+        self._odometry = topics.ODOM.publisher(self)
+        self._rotor_states = topics.ROTOR_STATES.publisher(self)
+        self._markers = topics.MARKERS.publisher(self)
+        self._diagnostics = topics.DIAGNOSTICS.publisher(self)
+        self.create_service(topics.RESET.service, topics.RESET.name, self._reset)
+        self.create_service(topics.PAUSE.service, topics.PAUSE.name, self._pause)
+        # Simulated time is this node's product: its own timers go by a clock that it cannot stop.
+        wall = Clock(clock_type=ClockType.STEADY_TIME)
+        if scenario.real_time_factor > 0.0:
+            self.create_timer(scenario.tick_s / scenario.real_time_factor, self._tick, clock=wall)
+        self.create_timer(0.5 * RESEND_PERIOD_S, self._resend, clock=wall)
+        self.create_timer(MARKERS_PERIOD_S, self._draw, clock=wall)
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose, clock=wall)
+        topics.ROTOR_COMMAND.subscription(self, self._on_command, topics.NEWEST)
+        zeta = ", ".join(f"{value:.3g}" for value in scenario.zeta)
+        self.get_logger().info(f"{scenario.vehicle.name}, zeta = [{zeta}], awaits a controller")
+
+    def _on_command(self, msg: JointTrajectory) -> None:
+        scenario = self._settings.value
+        try:
+            plan = rotor_command.decode(msg, scenario.vehicle.n_rotors)
+            if plan.step_ns != stamps.nanoseconds(scenario.sampling_time_s):
+                raise MessageError(
+                    f"rotor_command has points every {stamps.seconds(plan.step_ns)} s: expected "
+                    f"sampling_time_s = {scenario.sampling_time_s} s"
+                )
+        except MessageError as error:
+            self.get_logger().warning(f"ignored: {error}", throttle_duration_sec=WARNING_PERIOD_S)
+            return
+        first = not self._session.started
+        taken = self._session.command(plan.stamp_ns, plan.u)
+        if first and taken:
+            self._reported = (time.monotonic(), self._session.stamp_ns)
+            self.get_logger().info("flying")
+        if taken and scenario.real_time_factor == 0.0:
+            self._tick()
+
+    def _tick(self) -> None:
+        if not self._session.ready:
+            return
+        self._session.advance()
+        self._publish_state()
+        if self._session.over:
+            self._end()
+
+    def _publish_state(self) -> None:
+        stamp_ns, x = self._session.stamp_ns, self._session.x
+        self._clock_time.publish(ClockMessage(clock=stamps.encode(stamp_ns)))
+        self._odometry.publish(odometry.encode(stamp_ns, x))
+        self._rotor_states.publish(rotor_states.encode(stamp_ns, x[ROTORS]))
+        self._published_at = time.monotonic()
+
+    def _resend(self) -> None:
+        """Publish a state that nobody answers again: a message may be lost while nodes match."""
+        if self._session.paused or not self._session.awaits_command:
+            return
+        if time.monotonic() - self._published_at >= RESEND_PERIOD_S and self._is_heard():
+            self._publish_state()
+
+    def _is_heard(self) -> bool:
+        """Whether the controller and all recorders are there; asked for only before the start."""
+        if self._session.started:
+            return True
+        listeners = 1 + self._settings.value.recorders
+        counts = [p.get_subscription_count() for p in (self._odometry, self._rotor_states)]
+        return min(counts) >= listeners
+
+    def _end(self) -> None:
+        """End the process once every recorder has acknowledged the whole flight."""
+        self.get_logger().info(f"flown {stamps.seconds(self._session.stamp_ns):g} s")
+        self._diagnose()
+        for publisher in (self._odometry, self._rotor_states, self._clock_time, self._diagnostics):
+            publisher.wait_for_all_acked(Duration(seconds=DELIVERY_TIMEOUT_S))
+        raise SystemExit
+
+    def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._session.reset()
+        response.success, response.message = True, "back at the start, waiting for a controller"
+        return response
+
+    def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._session.paused = bool(request.data)
+        response.success, response.message = True, "paused" if request.data else "going on"
+        # A command that came while paused is waiting to be played.
+        if not request.data and self._settings.value.real_time_factor == 0.0:
+            self._tick()
+        return response
+
+    def _draw(self) -> None:
+        if self._markers.get_subscription_count() == 0:
+            return
+        scenario = self._settings.value
+        scene = markers.tower(scenario.tower) + markers.vehicle(scenario.vehicle, self._session.x)
+        self._markers.publish(markers.encode(self._session.stamp_ns, scene))
+
+    def _diagnose(self) -> None:
+        session, now = self._session, time.monotonic()
+        then, then_ns = self._reported
+        self._reported = (now, session.stamp_ns)
+        level, message = Level.OK, "flying"
+        if not session.started:
+            level, message = Level.STALE, "waiting for a controller"
+        elif session.paused:
+            message = "paused"
+        elif session.over:
+            message = "the flight is over"
+        elif session.command_age_s > 2.0 * self._settings.value.sampling_time_s:
+            level, message = Level.WARN, "no new commands: playing the rest of the last plan"
+        self._diagnostics.publish(
+            diagnostics.encode(
+                self.get_clock().now().nanoseconds,
+                f"{self.get_name()}: simulator",
+                level,
+                message,
+                {
+                    "time_s": stamps.seconds(session.stamp_ns),
+                    "real_time_factor": stamps.seconds(session.stamp_ns - then_ns) / (now - then),
+                    "command_age_ms": 1e3 * session.command_age_s,
+                    "missed_commands": session.missed_commands,
+                },
+                hardware_id=self._settings.value.vehicle.name,
+            )
+        )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node ``sim``.
+
+    Parameters
+    ----------
+    args : list of str, optional
+        Command line with ROS arguments; ``sys.argv`` if left out.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after the flight or SIGINT, 2 for a bad parameter.
+    """
+    return run(SimNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,83 @@
+"""What a simulated flight is made of: the world, the true parameters, the gusts, the seed."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+from typing_extensions import Self
+
+from gtmr_model import Helix, NamedVehicle, Tower, UncertaintySet, Vehicle, YamlModel
+
+GustKind = Literal["ou", "dryden", "sinusoid", "worst-case", "none"]
+GUST_KINDS: tuple[GustKind, ...] = ("ou", "dryden", "sinusoid", "worst-case", "none")
+"""Clipped Ornstein-Uhlenbeck, clipped Dryden, sinusoid, constant towards the tower, none."""
+
+
+class GustConfig(YamlModel):
+    """The gust force; its norm never exceeds the bound of the uncertainty set."""
+
+    kind: GustKind = "ou"
+    """Which model."""
+    std_n: float = Field(0.25, ge=0.0)
+    """Standard deviation per axis before clipping, of ``ou`` and ``dryden`` [N]; assumed."""
+    correlation_time_s: float = Field(0.5, gt=0.0)
+    """Correlation time of ``ou`` [s]; assumed."""
+    period_s: float = Field(2.0, gt=0.0)
+    """Period of ``sinusoid`` [s]; assumed."""
+    airspeed_m_s: float = Field(8.0, gt=0.0)
+    """Mean wind speed that carries the ``dryden`` turbulence past the vehicle [m/s]; assumed."""
+
+
+class Scenario(YamlModel):
+    """The plant's side of a flight; the controller knows nothing of ``zeta`` and the gusts."""
+
+    vehicle: NamedVehicle = Field(default_factory=Vehicle.paper)
+    """Nominal parameters, from which ``zeta`` deviates."""
+    tower: Tower = Tower()
+    """What is flown round."""
+    helix: Helix = Helix()
+    """Where the flight starts: on the reference, at its velocity."""
+    uncertainty: UncertaintySet = UncertaintySet()
+    """Bounds on ``zeta`` and on the gusts."""
+    zeta: Annotated[tuple[float, ...], Field(min_length=9, max_length=9)] = (0.0,) * 9
+    """The true mismatch and wind bias, eq. (4)."""
+    gust: GustConfig = GustConfig()
+    """The gusts."""
+    seed: int = Field(0, ge=0)
+    """Seed of the gusts, and of zeta where it is sampled."""
+    step_s: float = Field(1e-3, gt=0.0, le=0.01)
+    """The plant's integration step [s]."""
+    gust_hold_s: float = Field(0.025, gt=0.0)
+    """How long a gust sample is held [s]."""
+
+    @model_validator(mode="after")
+    def _inside(self) -> Self:
+        self.uncertainty.require_inside(self.zeta)
+        return self
+
+    def sampled(self) -> Scenario:
+        """Return this scenario with zeta drawn from the uncertainty set by its seed."""
+        zeta = self.uncertainty.sample(self.rng("zeta"))
+        return self.model_copy(update={"zeta": tuple(zeta.tolist())})
+
+    def rng(self, purpose: Literal["zeta", "gust"]) -> np.random.Generator:
+        """Random numbers of this seed for one purpose, independent of the other purpose.
+
+        Parameters
+        ----------
+        purpose : str
+            ``zeta`` or ``gust``.
+
+        Returns
+        -------
+        numpy.random.Generator
+        """
+        return np.random.default_rng([self.seed, {"zeta": 0, "gust": 1}[purpose]])
+
+    @property
+    def zeta_array(self) -> NDArray[np.float64]:
+        """The true zeta, shape (9,)."""
+        return np.array(self.zeta)

@@ -1,0 +1,125 @@
+"""A flight as other processes see it: it waits, flies, pauses, and ends."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gtmr_sim.simulation import Simulation
+
+NANOSECONDS = 1_000_000_000
+"""In a second."""
+
+
+class Session:
+    """Decides when simulated time may go on; knows nothing of messages and clocks.
+
+    A flight stands still at time zero until it is answered by a command for that time. In
+    lockstep it does so at every instant.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        The world; at time zero.
+    sampling_time_s : float
+        T_s, time between two inputs of a plan [s].
+    tick_s : float
+        By how much :meth:`advance` flies on [s]; T_s in lockstep, else T_s or a whole part of it.
+    lockstep : bool
+        Whether to wait for the command of every instant, not only of the first.
+    duration_s : float
+        When the flight is over [s]; zero for never.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        sampling_time_s: float,
+        tick_s: float,
+        lockstep: bool,
+        duration_s: float,
+    ) -> None:
+        self._simulation = simulation
+        self._sampling_ns = round(sampling_time_s * NANOSECONDS)
+        self._tick_s = tick_s
+        self._lockstep = lockstep
+        self._duration_ns = round(duration_s * NANOSECONDS)
+        self.paused = False
+        """Whether time is stopped for now."""
+        self._begin()
+
+    def _begin(self) -> None:
+        self._command_ns: int | None = None
+        self.missed_commands = 0
+        """How many sampling times passed without a command for them."""
+
+    def reset(self) -> None:
+        """Go back to the start of the same flight, and wait for its first command."""
+        self._simulation.reset()
+        self._begin()
+
+    @property
+    def stamp_ns(self) -> int:
+        """Simulated time [ns]."""
+        return round(self._simulation.time_s * NANOSECONDS)
+
+    @property
+    def x(self) -> NDArray[np.float64]:
+        """True state, shape (12 + N_p,)."""
+        return self._simulation.x
+
+    @property
+    def started(self) -> bool:
+        """Whether the first command has come."""
+        return self._command_ns is not None
+
+    @property
+    def over(self) -> bool:
+        """Whether the flight has lasted as long as it should."""
+        return 0 < self._duration_ns <= self.stamp_ns
+
+    @property
+    def awaits_command(self) -> bool:
+        """Whether time stands still for want of a command."""
+        return not self.started or (self._lockstep and self._command_ns != self.stamp_ns)
+
+    @property
+    def ready(self) -> bool:
+        """Whether time may go on."""
+        return not (self.paused or self.over or self.awaits_command)
+
+    @property
+    def command_age_s(self) -> float:
+        """How old the odometry is from which the plan in play was made [s]."""
+        return (self.stamp_ns - (self._command_ns or 0)) / NANOSECONDS
+
+    def command(self, stamp_ns: int, u_plan: ArrayLike) -> bool:
+        """Take over a plan, unless it belongs to another flight or comes again.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Stamp of the state that it was made for [ns].
+        u_plan : array_like, shape (N, N_p)
+            Rotor accelerations [Hz/s], one row every T_s.
+
+        Returns
+        -------
+        bool
+            Whether it is taken: it must be newer than the plan in play, not from the future, and
+            for time zero if it is the first.
+        """
+        if stamp_ns > self.stamp_ns or (not self.started and stamp_ns != 0):
+            return False
+        if self._command_ns is not None and stamp_ns <= self._command_ns:
+            return False
+        self._simulation.command(stamp_ns / NANOSECONDS, u_plan)
+        self._command_ns = stamp_ns
+        return True
+
+    def advance(self) -> None:
+        """Fly on by one tick; only when ready."""
+        self._simulation.advance(self._tick_s)
+        at_sample = self.stamp_ns % self._sampling_ns == 0
+        if at_sample and self.command_age_s * NANOSECONDS > 1.5 * self._sampling_ns:
+            self.missed_commands += 1

@@ -1,0 +1,104 @@
+"""The simulated world between two instants: the plant, its gusts and the plan it plays."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gtmr_sim.gust import make_gust
+from gtmr_sim.plant import Plant
+from gtmr_sim.scenario import Scenario
+
+
+class Simulation:
+    """A flight in progress.
+
+    Time is counted in whole plant steps, so that a flight is the same however it is cut up.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The world and the true parameters.
+    plan_step_s : float
+        Time between two inputs of a plan [s].
+    """
+
+    def __init__(self, scenario: Scenario, plan_step_s: float) -> None:
+        self.scenario = scenario
+        self._plan_step = self._steps(plan_step_s)
+        self._hold = self._steps(scenario.gust_hold_s)
+        self.reset()
+
+    def reset(self) -> None:
+        """Go back to the start of the same flight."""
+        scenario = self.scenario
+        start = scenario.helix.initial_state(scenario.tower, scenario.vehicle)
+        self.plant = Plant(scenario.vehicle, scenario.zeta_array, start, scenario.step_s)
+        self._gust = make_gust(scenario)
+        self._step = 0
+        self._plan = np.zeros((0, scenario.vehicle.n_rotors))
+        self._plan_start = 0
+        self._draw_gust()
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time since the start [s]."""
+        return self._step * self.scenario.step_s
+
+    @property
+    def x(self) -> NDArray[np.float64]:
+        """True state, shape (12 + N_p,)."""
+        return self.plant.x
+
+    @property
+    def gust_n(self) -> NDArray[np.float64]:
+        """Gust force that acts from now on, world frame [N], shape (3,)."""
+        return self._w_g
+
+    @property
+    def plan_index(self) -> int:
+        """Which input of the plan is due now; past its end the rotors hold their speeds."""
+        return (self._step - self._plan_start) // self._plan_step
+
+    def command(self, stamp_s: float, u_plan: ArrayLike) -> None:
+        """Take over a new plan, to be played from its stamp on.
+
+        Parameters
+        ----------
+        stamp_s : float
+            Simulated time of the state that the plan was made for [s].
+        u_plan : array_like, shape (N, N_p)
+            Rotor accelerations [Hz/s], one row every plan step.
+        """
+        self._plan = np.asarray(u_plan, dtype=float)
+        self._plan_start = self._steps(stamp_s)
+
+    def advance(self, duration_s: float) -> None:
+        """Fly on, playing the plan.
+
+        Parameters
+        ----------
+        duration_s : float
+            How long; a multiple of the plant's step [s].
+        """
+        end = self._step + self._steps(duration_s)
+        while self._step < end:
+            into_plan = (self._step - self._plan_start) % self._plan_step
+            into_hold = self._step % self._hold
+            n = min(end - self._step, self._plan_step - into_plan, self._hold - into_hold)
+            self.plant.advance(self._input(), self._w_g, n)
+            self._step += n
+            if self._step % self._hold == 0:
+                self._draw_gust()
+
+    def _input(self) -> NDArray[np.float64]:
+        index = self.plan_index
+        if 0 <= index < len(self._plan):
+            return self._plan[index]
+        return np.zeros(self.scenario.vehicle.n_rotors)
+
+    def _draw_gust(self) -> None:
+        self._w_g = self._gust(self.plant.x[:3])
+
+    def _steps(self, duration_s: float) -> int:
+        return round(duration_s / self.scenario.step_s)

@@ -1,0 +1,1 @@
+"""Flights, demo, campaigns and the ``gtmr`` command line."""

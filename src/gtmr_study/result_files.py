@@ -1,0 +1,94 @@
+"""Where results go: nothing that exists is overwritten, and no half-written file is left."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+
+class InputError(ValueError):
+    """Bad input of a command; the message is one line for the user."""
+
+
+def require_new_file(option: str, path: Path | None) -> None:
+    """Check that a file can be written without overwriting anything.
+
+    Parameters
+    ----------
+    option : str
+        The option that gave the path, for the message.
+    path : pathlib.Path or None
+        None passes.
+
+    Raises
+    ------
+    InputError
+        If the file exists, or its folder does not.
+    """
+    if path is None:
+        return
+    if path.exists():
+        raise InputError(f"{option} = {path}: exists already and is not overwritten")
+    require_folder_of(option, path)
+
+
+def require_folder_of(option: str, path: Path | None) -> None:
+    """Check that the folder of a file exists.
+
+    Parameters
+    ----------
+    option : str
+        The option that gave the path, for the message.
+    path : pathlib.Path or None
+        None passes.
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist, or the path is a folder itself.
+    """
+    if path is None:
+        return
+    if not path.absolute().parent.is_dir():
+        raise InputError(f"{option} = {path}: there is no folder {path.absolute().parent}")
+    if path.is_dir():
+        raise InputError(f"{option} = {path}: is a folder, expected a file")
+
+
+def require_empty_folder(option: str, path: Path) -> None:
+    """Check that a folder is new or empty.
+
+    Parameters
+    ----------
+    option : str
+        The option that gave the path, for the message.
+    path : pathlib.Path
+        The folder; it need not exist.
+
+    Raises
+    ------
+    InputError
+        If it holds anything, or is no folder.
+    """
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{option} = {path}: is a file, expected a new or empty folder")
+    if path.is_dir() and any(path.iterdir()):
+        raise InputError(f"{option} = {path}: is not empty and is not overwritten")
+
+
+def write_json(path: Path | None, result: dict[str, Any]) -> None:
+    """Write a result as JSON, whole or not at all.
+
+    Parameters
+    ----------
+    path : pathlib.Path or None
+        None writes nothing.
+    result : dict
+        Plain data.
+    """
+    if path is None:
+        return
+    part = path.with_name(path.name + ".part")
+    part.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    part.replace(path)

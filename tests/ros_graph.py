@@ -1,0 +1,158 @@
+"""A ROS graph of real processes, and a node in the test that looks on."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, TextIO
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+
+from gtmr_msgs_py.environment import ros_environment
+from gtmr_msgs_py.topics import Topic
+
+SOURCES = Path(__file__).parents[1] / "src"
+DEADLINE_S = 20.0
+DOMAINS = range(1, 102)
+"""Those whose ports are free on every Linux."""
+
+
+def _claim_domain() -> tuple[int, TextIO]:
+    """A domain that no other test run on this machine uses while the file is open."""
+    for domain_id in random.sample(DOMAINS, len(DOMAINS)):
+        claim = (Path(tempfile.gettempdir()) / f"gtmr_test_domain_{domain_id}").open("w")
+        try:
+            fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            claim.close()
+        else:
+            return domain_id, claim
+    raise RuntimeError("all ROS domains are in use by tests")
+
+
+class NodeProcess:
+    """A node of the suite as a process of its own."""
+
+    def __init__(self, module: str, parameters: dict[str, str], domain_id: int) -> None:
+        arguments = []
+        for name, value in parameters.items():
+            arguments += ["-p", f"{name}:={value}"]
+        environment = ros_environment(domain_id)
+        environment["PYTHONPATH"] = os.pathsep.join(
+            filter(None, [str(SOURCES), environment.get("PYTHONPATH")])
+        )
+        self._output = tempfile.TemporaryFile("w+")  # noqa: SIM115 -- lives as long as the node
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", module, "--ros-args", *arguments],
+            env=environment,
+            stdout=self._output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+
+    @property
+    def output(self) -> str:
+        """What the process has printed so far."""
+        self._output.seek(0)
+        return self._output.read()
+
+    def wait(self) -> int:
+        """Exit code of a process that ends by itself."""
+        return self.process.wait(DEADLINE_S)
+
+    def interrupt(self) -> int:
+        """Exit code after a Ctrl-C."""
+        self.process.send_signal(signal.SIGINT)
+        return self.wait()
+
+    def kill(self) -> None:
+        """End the process, whatever state it is in."""
+        self.process.kill()
+        self.process.wait()
+
+
+class RosGraph:
+    """Nodes in a domain of their own; use it as a context manager."""
+
+    def __init__(self) -> None:
+        self.domain_id, self._claim = _claim_domain()
+        self.received: dict[str, list[Any]] = defaultdict(list)
+        self._processes: list[NodeProcess] = []
+
+    def __enter__(self) -> RosGraph:
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=self.domain_id)
+        self.node = rclpy.create_node("onlooker", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self._processes:
+            process.kill()
+        self.node.destroy_node()
+        self._executor.shutdown()
+        rclpy.shutdown(context=self._context)
+        self._claim.close()
+
+    def start(self, module: str, **parameters: str) -> NodeProcess:
+        """Start a node; in parameter names ``__`` stands for a dot."""
+        named = {name.replace("__", "."): value for name, value in parameters.items()}
+        process = NodeProcess(module, named, self.domain_id)
+        self._processes.append(process)
+        return process
+
+    def listen(self, topics: Iterable[Topic]) -> None:
+        """Keep every message of some topics in ``received``, by topic name."""
+        for topic in topics:
+            topic.subscription(self.node, self.received[topic.name].append)
+
+    def wait_until(self, condition: Callable[[], bool], deadline_s: float = DEADLINE_S) -> None:
+        """Take part in the graph until something is so."""
+        end = time.monotonic() + deadline_s
+        while not condition():
+            if time.monotonic() > end:
+                said = "\n".join(process.output for process in self._processes)
+                raise TimeoutError(f"not so within {deadline_s} s; the nodes said:\n{said}")
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def result(self, future: Any) -> Any:
+        """Wait for the answer to a service call."""
+        self.wait_until(future.done)
+        return future.result()
+
+    def call(self, service: type, name: str, request: Any) -> Any:
+        """Call a service."""
+        client = self.node.create_client(service, name)
+        self.wait_until(client.service_is_ready)
+        return self.result(client.call_async(request))
+
+    def parameters_of(self, node_name: str) -> AsyncParameterClient:
+        """Talk to the parameter services of a node, once they are there."""
+        client = AsyncParameterClient(self.node, node_name)
+        self.wait_until(client.services_are_ready)
+        return client
+
+    def set_parameter(self, node_name: str, name: str, value: Any) -> Any:
+        """Propose a value; the result says whether it was taken."""
+        client = self.parameters_of(node_name)
+        return self.result(client.set_parameters([Parameter(name, value=value)])).results[0]
+
+    def get_parameter(self, node_name: str, name: str) -> Any:
+        """Ask for a value."""
+        client = self.parameters_of(node_name)
+        message = self.result(client.get_parameters([name])).values[0]
+        return rclpy.parameter.parameter_value_to_python(message)

@@ -1,0 +1,256 @@
+"""Conversions between arrays and messages keep every number, in the right unit and frame."""
+
+import math
+
+import casadi as ca
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from rclpy.serialization import deserialize_message, serialize_message
+from visualization_msgs.msg import Marker
+
+from gtmr_model import CHANNELS, Helix, Tower, Vehicle
+from gtmr_model.dynamics import ATTITUDE, rotation
+from gtmr_msgs_py import (
+    attitude,
+    clearance,
+    diagnostics,
+    markers,
+    odometry,
+    path,
+    rotor_command,
+    rotor_states,
+    solve_time,
+    stamps,
+    tightening,
+    topics,
+)
+from gtmr_msgs_py.diagnostics import Level
+from gtmr_msgs_py.message_error import MessageError
+
+finite = st.floats(-1e3, 1e3)
+angle = st.floats(-20.0, 20.0)
+pitch = st.floats(-1.5, 1.5)
+attitudes = st.tuples(angle, pitch, angle).map(np.array)
+stamp = st.integers(0, 2**31 * stamps.NANOSECONDS - 1)
+
+
+def over_the_wire(message):
+    """What a subscriber gets; also refuses fields of a wrong type."""
+    return deserialize_message(serialize_message(message), type(message))
+
+
+def model_rotation(eta):
+    """The rotation that the equations of motion use."""
+    return np.asarray(rotation(ca.DM(eta)))
+
+
+def turn(quaternion, vector):
+    """Turn a vector by q v q*, Hamilton's product written out."""
+    axis, w = np.array([quaternion.x, quaternion.y, quaternion.z]), quaternion.w
+    return vector + 2.0 * np.cross(axis, np.cross(axis, vector) + w * vector)
+
+
+def wrapped(angle_rad):
+    return math.remainder(angle_rad, 2.0 * math.pi)
+
+
+@given(stamp)
+def test_a_stamp_keeps_every_nanosecond(time_ns):
+    assert stamps.decode(over_the_wire(stamps.encode(time_ns))) == time_ns
+
+
+@given(st.integers(0, 10**15))
+def test_seconds_are_those_nearest_to_the_nanoseconds(time_ns):
+    assert stamps.nanoseconds(stamps.seconds(time_ns)) == time_ns
+
+
+@given(attitudes, arrays(float, 3, elements=finite))
+def test_the_quaternion_turns_vectors_as_the_equations_of_motion_do(eta, vector):
+    expected = model_rotation(eta) @ vector
+    assert turn(attitude.encode(eta), vector) == pytest.approx(expected, abs=1e-9)
+
+
+@given(attitudes)
+def test_attitude_comes_back_but_for_whole_turns(eta):
+    back = attitude.roll_pitch_yaw(attitude.rotation(attitude.encode(eta)))
+    for there, here in zip(eta, back, strict=True):
+        assert wrapped(there - here) == pytest.approx(0.0, abs=1e-9)
+
+
+@given(stamp, arrays(float, 12, elements=finite), attitudes)
+def test_a_state_comes_back_from_odometry(time_ns, x, eta):
+    x[ATTITUDE] = eta
+    stamp_ns, back = odometry.decode(over_the_wire(odometry.encode(time_ns, x)))
+    x[ATTITUDE] = back[ATTITUDE]
+    assert stamp_ns == time_ns
+    assert back == pytest.approx(x, abs=1e-9)
+
+
+@given(attitudes, arrays(float, 3, elements=finite))
+def test_the_twist_of_odometry_is_in_the_child_frame(eta, velocity):
+    x = np.r_[np.zeros(3), eta, velocity, np.zeros(3)]
+    msg = odometry.encode(0, x)
+    linear = msg.twist.twist.linear
+    in_body = model_rotation(eta).T @ velocity
+    assert [linear.x, linear.y, linear.z] == pytest.approx(in_body, abs=1e-9)
+    assert (msg.header.frame_id, msg.child_frame_id) == ("map", "base_link")
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_odometry_that_is_not_finite_is_refused(bad):
+    msg = odometry.encode(0, np.zeros(12))
+    msg.pose.pose.position.y = bad
+    with pytest.raises(MessageError, match="not finite"):
+        odometry.decode(msg)
+
+
+@pytest.mark.parametrize("w", [0.0, 0.5, math.nan])
+def test_an_orientation_that_is_no_unit_quaternion_is_refused(w):
+    msg = odometry.encode(0, np.zeros(12))
+    msg.pose.pose.orientation.w = w
+    with pytest.raises(MessageError, match="no unit quaternion"):
+        odometry.decode(msg)
+
+
+@given(stamp, arrays(float, st.integers(1, 12), elements=st.floats(0.0, 200.0)))
+def test_rotor_speeds_come_back(time_ns, xi):
+    msg = over_the_wire(rotor_states.encode(time_ns, xi))
+    stamp_ns, back = rotor_states.decode(msg, len(xi))
+    assert stamp_ns == time_ns
+    assert back == pytest.approx(xi, abs=1e-12)
+
+
+def test_one_turn_a_second_is_two_pi_radians_a_second():
+    assert rotor_states.encode(0, [1.0]).velocity[0] == 2.0 * math.pi
+    point = rotor_command.encode(0, 1, [[1.0], [1.0]], [[1.0]]).points[0]
+    assert point.velocities[0] == point.accelerations[0] == 2.0 * math.pi
+
+
+def test_rotors_are_told_apart_by_their_names():
+    msg = rotor_states.encode(0, [10.0, 20.0, 30.0])
+    msg.name, msg.velocity = list(reversed(msg.name)), list(reversed(msg.velocity))
+    assert rotor_states.decode(msg, 3)[1] == pytest.approx([10.0, 20.0, 30.0])
+
+
+def test_rotor_states_of_another_vehicle_are_refused():
+    with pytest.raises(MessageError, match="4 speeds"):
+        rotor_states.decode(rotor_states.encode(0, np.ones(4)), 6)
+
+
+@given(st.integers(1, 30), st.integers(1, 8), stamp, st.integers(1, 10**9))
+def test_a_plan_comes_back_from_a_command(n, n_rotors, time_ns, step_ns):
+    rng = np.random.default_rng(n)
+    xi, u = rng.normal(60.0, 10.0, (n + 1, n_rotors)), rng.normal(0.0, 100.0, (n, n_rotors))
+    msg = over_the_wire(rotor_command.encode(time_ns, step_ns, xi, u))
+    plan = rotor_command.decode(msg, n_rotors)
+    assert (plan.stamp_ns, plan.step_ns) == (time_ns, step_ns)
+    assert plan.xi == pytest.approx(xi)
+    assert plan.u == pytest.approx(u)
+    assert not np.any(msg.points[-1].accelerations)
+
+
+def test_a_command_with_uneven_points_is_refused():
+    msg = rotor_command.encode(0, 100, np.ones((4, 6)), np.ones((3, 6)))
+    msg.points[2].time_from_start.nanosec = 150
+    with pytest.raises(MessageError, match="even spacing"):
+        rotor_command.decode(msg, 6)
+
+
+@pytest.mark.parametrize("n_rotors", [4, 8])
+def test_a_command_for_another_vehicle_is_refused(n_rotors):
+    msg = rotor_command.encode(0, 100, np.ones((4, 6)), np.ones((3, 6)))
+    with pytest.raises(MessageError, match="rotor_command"):
+        rotor_command.decode(msg, n_rotors)
+
+
+def test_a_path_says_when_it_is_where():
+    reference = Helix().at([3.0, 3.5, 4.0], Tower())
+    angles = np.zeros((3, 3))
+    angles[:, 2] = reference.yaw
+    msg = over_the_wire(path.encode(3 * 10**9, 5 * 10**8, reference.position, angles))
+    times, positions = path.decode(msg)
+    assert times.tolist() == [3 * 10**9, 35 * 10**8, 4 * 10**9]
+    assert positions == pytest.approx(reference.position)
+    facing = turn(msg.poses[0].pose.orientation, np.array([1.0, 0.0, 0.0]))
+    assert facing[:2] == pytest.approx(-positions[0, :2] / np.hypot(*positions[0, :2]))
+
+
+def test_margins_come_back_under_their_labels():
+    rng = np.random.default_rng(0)
+    terms, alpha_g, slack = rng.random((21, 9)), rng.random(21), rng.random(21)
+    msg = over_the_wire(tightening.encode(terms, 1e-3, alpha_g, slack))
+    stage, columns = msg.layout.dim
+    assert (stage.label, stage.size, stage.stride) == ("stage", 21, 21 * 12)
+    assert columns.label.split(",") == [*CHANNELS, "eps_s", "alpha_g", "slack"]
+    assert (columns.size, columns.stride) == (12, 12)
+    back = tightening.decode(msg)
+    assert back.alpha_p == pytest.approx(terms.sum(axis=1) + 1e-3)
+    assert back.alpha_g == pytest.approx(alpha_g)
+    assert back.slack == pytest.approx(slack)
+
+
+def test_margins_under_other_labels_are_refused():
+    msg = tightening.encode(np.zeros((2, 9)), 0.0, np.zeros(2), np.zeros(2))
+    msg.layout.dim[1].label = "x,y"
+    with pytest.raises(MessageError, match="labelled"):
+        tightening.decode(msg)
+
+
+def test_clearance_tells_d_min_as_its_smallest_range():
+    msg = over_the_wire(clearance.encode(7, 0.35, 0.2))
+    assert msg.range == pytest.approx(0.35, abs=1e-7)
+    assert msg.min_range == pytest.approx(0.2, abs=1e-7)
+    assert over_the_wire(clearance.encode_residual(-0.15)).data == -0.15
+
+
+def test_a_solve_time_is_in_seconds():
+    assert over_the_wire(solve_time.encode(np.float64(0.004))).data == 0.004
+
+
+def test_figures_come_back_from_diagnostics_as_what_they_are():
+    values = {"mode": "robust", "steps": 12, "solve_ms": 3.25, "recording": True}
+    msg = over_the_wire(diagnostics.encode(5, "nmpc: controller", Level.WARN, "late", values))
+    assert isinstance(msg, DiagnosticArray)
+    (status,) = msg.status
+    assert (status.level, status.message) == (b"\x01", "late")
+    assert diagnostics.decode(status) == values
+
+
+def test_the_drawn_rotors_sit_and_tilt_where_the_vehicle_has_them():
+    vehicle, eta = Vehicle.paper(), np.array([0.1, -0.2, 2.0])
+    x = np.r_[1.0, 2.0, 3.0, eta]
+    msg = over_the_wire(markers.encode(0, markers.vehicle(vehicle, x)))
+    discs = [marker for marker in msg.markers if marker.ns == "propellers"]
+    assert len(discs) == vehicle.n_rotors
+    for disc, rotor in zip(discs, vehicle.rotors, strict=True):
+        hub = x[:3] + model_rotation(eta) @ rotor.position_m
+        p = disc.pose.position
+        assert [p.x, p.y, p.z] == pytest.approx(hub)
+        up = turn(disc.pose.orientation, np.array([0.0, 0.0, 1.0]))
+        assert up == pytest.approx(model_rotation(eta) @ rotor.axis)
+
+
+def test_shells_are_drawn_at_their_radius():
+    shells = markers.tower(Tower()) + markers.tightened_shell(Tower(), 0.1, "robust")
+    over_the_wire(markers.encode(0, shells))
+    radii = {marker.ns: 0.5 * marker.scale.x for marker in shells}
+    assert radii == pytest.approx({"tower": 1.0, "d_min": 1.2, "tightened": 1.3})
+    assert {marker.header.frame_id for marker in shells} == {"map"}
+
+
+def test_the_plan_is_drawn_in_the_colour_of_its_mode():
+    lines = [markers.plan(np.zeros((21, 3)), mode)[0] for mode in ("nominal", "robust")]
+    assert all(line.type == Marker.LINE_STRIP and len(line.points) == 21 for line in lines)
+    assert lines[0].color != lines[1].color
+
+
+def test_every_topic_is_named_once_and_described():
+    names = [topic.name for topic in topics.TOPICS]
+    assert len(set(names)) == len(names)
+    assert all(topic.content and topic.publishers for topic in topics.TOPICS)
+    assert topics.ODOM.type_name == "nav_msgs/msg/Odometry"
+    assert topics.RESET.type_name == "std_srvs/srv/Trigger"

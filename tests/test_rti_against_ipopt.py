@@ -1,0 +1,78 @@
+"""RTI iterated to convergence solves the NLP that the paper writes down."""
+
+import numpy as np
+import pytest
+from reference_nlp import solve_with_ipopt
+
+from gtmr_nmpc import ControllerConfig
+from gtmr_nmpc.rti import RealTimeIteration, Trajectory
+
+CASES = {
+    "calm": (0.0, 0.0),
+    "touching": (-0.05, -0.3),
+    "infeasible start": (-0.2, 0.0),
+}
+"""Offset [m] and speed [m/s] along the radius at the start."""
+
+
+def converged(config, mode, x0):
+    """Iterate prepare and feedback on one problem until the inputs stand still."""
+    rti = RealTimeIteration(config)
+    iterate = Trajectory(
+        np.tile(x0, (config.horizon + 1, 1)), np.zeros((config.horizon, len(x0) - 12))
+    )
+    for _ in range(100):
+        new, slack = rti.feedback(rti.prepare(0.0, iterate, mode), x0)
+        change = np.abs(new.u - iterate.u).max()
+        iterate = new
+        if change < 1e-9:
+            return iterate, slack, rti.prepare(0.0, iterate, mode)
+    pytest.fail(f"inputs still change by {change} Hz/s after 100 iterations")
+
+
+def start(config, offset_m, radial_m_s):
+    """Start on the helix, moved and sped up along the radius, slightly rolled."""
+    x0 = config.helix.initial_state(config.tower, config.vehicle)
+    x0[0] += offset_m
+    x0[6] += radial_m_s
+    x0[3] += 0.05
+    return x0
+
+
+def assert_case_is(case, config, iterate, slack, prep):
+    """The case exercises what its name says."""
+    residual = (config.tower.residual(iterate.x) + prep.margins.total)[1:]
+    assert (residual.max() > -1e-7) == (case != "calm")
+    assert (slack.max() > 1e-6) == (case == "infeasible start")
+
+
+def assert_same_solution(iterate, slack, reference):
+    x, u, reference_slack = reference
+    np.testing.assert_allclose(iterate.u[0], u[0], atol=1e-6)
+    np.testing.assert_allclose(iterate.x, x, atol=1e-6)
+    np.testing.assert_allclose(slack, reference_slack, atol=1e-6)
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("mode", ["nominal", "robust"])
+def test_converged_rti_with_frozen_margins_is_the_nlp_with_those_margins(mode, case):
+    config = ControllerConfig()
+    x0 = start(config, *CASES[case])
+    iterate, slack, prep = converged(config, mode, x0)
+    assert_case_is(case, config, iterate, slack, prep)
+    reference = solve_with_ipopt(config, 0.0, x0, prep.margins.total)
+    assert_same_solution(iterate, slack, reference)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_converged_rti_with_margin_gradient_is_eq_15(case):
+    # Few, longer stages: IPOPT differentiates Pi twice, which takes a minute at N = 20.
+    config = ControllerConfig(tightening="gradient", horizon=5, sampling_time_s=0.08)
+    x0 = start(config, *CASES[case])
+    iterate, slack, prep = converged(config, "robust", x0)
+    assert_case_is(case, config, iterate, slack, prep)
+    frozen, *_ = converged(config.model_copy(update={"tightening": "frozen"}), "robust", x0)
+    if case == "touching":
+        assert np.abs(frozen.u[0] - iterate.u[0]).max() > 1.0
+    reference = solve_with_ipopt(config, 0.0, x0, None)
+    assert_same_solution(iterate, slack, reference)
