@@ -79,8 +79,7 @@ def fly_trial(study: Study, trial: int, mode: Mode) -> Row:
     dict
         A row of trials.csv; if the flight raised, its status is ``error`` and the row says why.
     """
-    row: Row = dict.fromkeys(COLUMNS, "")
-    row.update(trial=trial, mode=mode)
+    row = empty_row(trial, mode)
     try:
         scenario = study.scenario(trial)
         zeta = np.round(scenario.zeta_array, 6).tolist()
@@ -95,6 +94,23 @@ def fly_trial(study: Study, trial: int, mode: Mode) -> Row:
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         row.update(status=ERROR, error=reason)
     return row
+
+
+def empty_row(trial: int, mode: Mode) -> Row:
+    """Make a row that says nothing yet but whose it is.
+
+    Parameters
+    ----------
+    trial : int
+        Number of the trial.
+    mode : str
+        Mode of the controller.
+
+    Returns
+    -------
+    dict
+    """
+    return {**dict.fromkeys(COLUMNS, ""), "trial": trial, "mode": mode}
 
 
 def _figures(log: FlightLog, tower: Tower, offset_m: float) -> Row:

@@ -1,0 +1,73 @@
+"""A Monte-Carlo campaign from start, or from where it was interrupted, to its summary."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from gtmr_study import cluster
+from gtmr_study.result_files import write_json
+from gtmr_study.study import Study
+from gtmr_study.summary import summarise
+from gtmr_study.trials_file import ResultsError, open_campaign, read_trials
+
+SUMMARY_FILE = "summary.json"
+
+OnProgress = Callable[[int, int], None]
+"""Told how many flights are done, and of how many."""
+
+
+def fly_campaign(
+    study: Study,
+    folder: Path,
+    n_workers: int | None = None,
+    scheduler: str | None = None,
+    on_progress: OnProgress | None = None,
+) -> dict[str, dict[str, Any]]:
+    """Fly what is missing of a campaign, and sum it up.
+
+    Parameters
+    ----------
+    study : Study
+        What to fly.
+    folder : pathlib.Path
+        New, empty, or with a part of the same study; receives study.json, trials.csv as trials
+        are done, and at the end summary.json.
+    n_workers : int, optional
+        Processes on this machine; one per processor if left out.
+    scheduler : str, optional
+        Address of a running Dask scheduler, instead.
+    on_progress : callable, optional
+        Called while flying.
+
+    Returns
+    -------
+    dict
+        The summary, see `summarise`.
+
+    Raises
+    ------
+    InputError
+        If the folder holds anything else, or the scheduler is not there.
+    ResultsError
+        If results cannot be written; finished trials are kept.
+    """
+    with open_campaign("--out", folder, study) as file:
+        flights = study.flights()
+        missing = [flight for flight in flights if flight not in file.done]
+        if missing:
+            with cluster.workers(n_workers, scheduler) as client:
+                for rows in cluster.fly_on(client, study, missing):
+                    file.append(rows)
+                    if on_progress is not None:
+                        on_progress(len(file.done), len(flights))
+        file.sort()
+        summary = summarise(read_trials(folder))
+        try:
+            write_json(folder / SUMMARY_FILE, summary)
+        except OSError as error:
+            raise ResultsError(
+                f"{folder / SUMMARY_FILE}: cannot be written: {error.strerror}"
+            ) from None
+        return summary
