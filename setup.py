@@ -29,6 +29,7 @@ setup(
         "": ["py.typed"],
         "gtmr_model": ["config/**/*.yaml"],
         "gtmr_msgs_py": ["*.xml"],
+        "gtmr_nmpc": ["c/*.[ch]"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/gtmr"]),

@@ -46,17 +46,26 @@ def _claim_domain() -> tuple[int, TextIO]:
 class NodeProcess:
     """A node of the suite as a process of its own."""
 
-    def __init__(self, module: str, parameters: dict[str, str], domain_id: int) -> None:
-        arguments = []
+    def __init__(
+        self,
+        module: str,
+        parameters: dict[str, str],
+        remaps: dict[str, str],
+        options: Iterable[str],
+        domain_id: int,
+    ) -> None:
+        arguments = [*options, "--ros-args"]
         for name, value in parameters.items():
             arguments += ["-p", f"{name}:={value}"]
+        for name, value in remaps.items():
+            arguments += ["-r", f"{name}:={value}"]
         environment = ros_environment(domain_id)
         environment["PYTHONPATH"] = os.pathsep.join(
             filter(None, [str(SOURCES), environment.get("PYTHONPATH")])
         )
         self._output = tempfile.TemporaryFile("w+")  # noqa: SIM115 -- lives as long as the node
         self.process = subprocess.Popen(
-            [sys.executable, "-m", module, "--ros-args", *arguments],
+            [sys.executable, "-m", module, *arguments],
             env=environment,
             stdout=self._output,
             stderr=subprocess.STDOUT,
@@ -108,10 +117,16 @@ class RosGraph:
         rclpy.shutdown(context=self._context)
         self._claim.close()
 
-    def start(self, module: str, **parameters: str) -> NodeProcess:
+    def start(
+        self,
+        module: str,
+        remaps: dict[str, str] | None = None,
+        options: Iterable[str] = (),
+        **parameters: str,
+    ) -> NodeProcess:
         """Start a node; in parameter names ``__`` stands for a dot."""
         named = {name.replace("__", "."): value for name, value in parameters.items()}
-        process = NodeProcess(module, named, self.domain_id)
+        process = NodeProcess(module, named, remaps or {}, options, self.domain_id)
         self._processes.append(process)
         return process
 
@@ -119,6 +134,20 @@ class RosGraph:
         """Keep every message of some topics in ``received``, by topic name."""
         for topic in topics:
             topic.subscription(self.node, self.received[topic.name].append)
+
+    def newcomer_finds(self, *names: str) -> float:
+        """Start another participant; how long it takes to find some nodes and a publisher [s]."""
+        context = Context()
+        rclpy.init(context=context, domain_id=self.domain_id)
+        start = time.monotonic()
+        node = rclpy.create_node("newcomer", context=context)
+        try:
+            self.wait_until(lambda: set(names) <= set(node.get_node_names()))
+            self.wait_until(lambda: node.count_publishers("odom") > 0)
+            return time.monotonic() - start
+        finally:
+            node.destroy_node()
+            rclpy.shutdown(context=context)
 
     def wait_until(self, condition: Callable[[], bool], deadline_s: float = DEADLINE_S) -> None:
         """Take part in the graph until something is so."""
@@ -146,10 +175,18 @@ class RosGraph:
         self.wait_until(client.services_are_ready)
         return client
 
-    def set_parameter(self, node_name: str, name: str, value: Any) -> Any:
+    def set_parameter(
+        self, node_name: str, name: str, value: Any, client: AsyncParameterClient | None = None
+    ) -> Any:
         """Propose a value; the result says whether it was taken."""
-        client = self.parameters_of(node_name)
+        client = client or self.parameters_of(node_name)
         return self.result(client.set_parameters([Parameter(name, value=value)])).results[0]
+
+    def set_together(self, node_name: str, **values: Any) -> Any:
+        """Propose values that are taken all or none; ``__`` in names stands for a dot."""
+        client = self.parameters_of(node_name)
+        given = [Parameter(name.replace("__", "."), value=v) for name, v in values.items()]
+        return self.result(client.set_parameters_atomically(given)).result
 
     def get_parameter(self, node_name: str, name: str) -> Any:
         """Ask for a value."""

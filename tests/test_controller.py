@@ -5,6 +5,7 @@ import pytest
 
 from gtmr_model import Vehicle
 from gtmr_nmpc import Controller, ControllerConfig
+from gtmr_nmpc.rti import RealTimeIteration
 from gtmr_sim import Scenario, Simulation, fly
 
 SCENARIO = Scenario(zeta=(0.0,) * 6 + (0.6, 0.4, 0.0))
@@ -59,7 +60,73 @@ def test_switching_mode_far_from_the_constraint_changes_nothing():
     switched.mode = "robust"
     first, second = (c.step(0.125, START) for c in (switched, steady))
     np.testing.assert_allclose(first.u_plan, second.u_plan, atol=1e-9)
-    assert first.alpha_p[-1] == pytest.approx(second.alpha_p[-1])
+    assert 0.0 < first.alpha_p[-1] < second.alpha_p[-1]
+
+
+@pytest.mark.parametrize(("mode", "other"), [("nominal", "robust"), ("robust", "nominal")])
+def test_the_margins_come_and_go_within_the_switch_time(mode, other):
+    controller = Controller(ControllerConfig(switch_time_s=0.5), mode)
+    controller.step(0.0, START)
+    controller.mode = other
+    scales = [controller.step(0.025 * k, START).margin_scale for k in range(1, 25)]
+    coming = scales if other == "robust" else [1.0 - scale for scale in scales]
+    assert 0.0 < coming[0] < 0.01
+    assert np.all(np.diff(coming[:20]) > 0.0)
+    assert coming[19:] == pytest.approx([1.0] * 5)
+
+
+def test_a_reset_and_a_switch_on_the_ground_are_at_once():
+    controller = Controller(mode="nominal")
+    controller.step(0.0, START)
+    controller.reset()
+    controller.mode = "robust"
+    assert controller.step(0.0, START).margin_scale == 1.0
+
+
+def test_a_switch_makes_no_bump_where_the_vehicle_is_inside_the_tightened_shell():
+    # The wind presses the vehicle against the plain constraint, some centimetres inside.
+    def jump(switch_time_s):
+        controller = Controller(ControllerConfig(switch_time_s=switch_time_s), "nominal")
+        simulation, u, steps = Simulation(SCENARIO, 0.025), None, []
+        for k in range(301):
+            if k == 300:
+                controller.mode = "robust"
+            before, u = u, controller.step(0.025 * k, simulation.x).u
+            steps.append(0.0 if before is None else np.abs(u - before).max())
+            simulation.command(0.025 * k, [u])
+            simulation.advance(0.025)
+        return steps[300]
+
+    assert jump(0.0) > 20.0
+    assert jump(1.0) < 1.0
+
+
+def test_other_numbers_keep_the_warm_start_and_are_those_of_a_new_controller():
+    config = ControllerConfig(
+        tower={"min_clearance_m": 0.25},
+        uncertainty={"mass": 0.05, "gust_n": 0.3},
+        weights={"position": (10.0, 20.0, 30.0), "rotor_acceleration": 1e-3},
+        eps_s_m=0.01,
+    )
+    changed, new = Controller(), Controller(config)
+    for k in range(3):
+        changed.step(0.025 * k, START)
+    changed.prepare(0.075)
+    changed.reconfigure(config)
+    for k in range(3, 40):
+        last = changed.step(0.025 * k, START)
+        fresh = new.step(0.025 * k, START)
+    np.testing.assert_allclose(last.alpha_p, fresh.alpha_p, rtol=1e-3)
+    np.testing.assert_allclose(last.alpha_g, fresh.alpha_g)
+    np.testing.assert_allclose(last.u_plan, fresh.u_plan, atol=0.1)
+
+
+@pytest.mark.parametrize("fixed", [{"horizon": 10}, {"sampling_time_s": 0.05}])
+def test_what_the_controller_is_built_for_cannot_change(fixed):
+    controller = Controller()
+    with pytest.raises(ValueError, match=next(iter(fixed))):
+        controller.reconfigure(ControllerConfig(**fixed))
+    assert controller.config == ControllerConfig()
 
 
 def test_switch_between_prepare_and_feedback_takes_effect_at_once():
@@ -106,13 +173,13 @@ def test_start_inside_the_forbidden_zone_reports_its_slack_and_leaves_the_zone()
 
 
 def test_predicted_states_follow_the_discrete_dynamics_along_a_flight():
-    controller = Controller()
+    controller, rti = Controller(), RealTimeIteration(ControllerConfig())
     defects = []
 
     class Watched:
         def step(self, t, x):
             solution = controller.step(t, x)
-            rollout = controller._rti.predict(solution.x_plan[0], solution.u_plan[0])
+            rollout = rti.predict(solution.x_plan[0], solution.u_plan[0])
             defects.append(np.abs(rollout - solution.x_plan[1]).max())
             return solution
 

@@ -1,4 +1,4 @@
-"""The launch file starts what exists, with parameters that exist; `launch` itself is stubbed."""
+"""The launch files start what exists, with parameters that exist; `launch` itself is stubbed."""
 
 import runpy
 import sys
@@ -7,71 +7,153 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from gtmr_monitor.node import MonitorParameters
+from gtmr_monitor.node import MonitorNode, MonitorParameters
 from gtmr_msgs_py.parameters import declarations
-from gtmr_nmpc.node import NmpcParameters
-from gtmr_sim.node import SimParameters
+from gtmr_nmpc.node import NmpcNode, NmpcParameters
+from gtmr_sim.node import SimNode, SimParameters
 
-LAUNCH_FILE = Path(__file__).parents[1] / "launch" / "inspection.launch.py"
-MODELS = {"sim": SimParameters, "nmpc": NmpcParameters, "monitor": MonitorParameters}
+ROOT = Path(__file__).parents[1]
+MODELS = {
+    "sim": (SimParameters, SimNode),
+    "nmpc": (NmpcParameters, NmpcNode),
+    "monitor": (MonitorParameters, MonitorNode),
+}
 STUBS = {
-    "launch": ["LaunchDescription"],
-    "launch.actions": ["DeclareLaunchArgument", "Shutdown"],
-    "launch.substitutions": ["LaunchConfiguration", "PythonExpression"],
+    "launch": ["LaunchContext", "LaunchDescription"],
+    "launch.actions": ["DeclareLaunchArgument", "OpaqueFunction", "Shutdown"],
     "launch_ros": [],
     "launch_ros.actions": ["Node"],
-    "launch_ros.parameter_descriptions": ["ParameterValue"],
+}
+LAUNCHED = {
+    "inspection": ["sim", "nmpc", "monitor"],
+    "compare": ["sim", "nmpc", "sim", "nmpc", "monitor"],
+}
+# A text for every argument that is a parameter, other than its default.
+TEXTS = {
+    "mode": "nominal",
+    "lockstep": "true",
+    "vehicle": "octo",
+    "zeta": "[0, 0, 0, 0, 0, 0, 0.6, 0.4, 0]",
+    "sample_zeta": "true",
+    "seed": "3",
+    "real_time_factor": "2",
+    "duration_s": "5.0",
 }
 
 
 def recorder(kind):
-    return lambda *args, **kwargs: SimpleNamespace(kind=kind, args=args, **kwargs)
+    class Recorded(SimpleNamespace):
+        def __init__(self, *args, **kwargs):
+            super().__init__(kind=kind, args=args, **kwargs)
+
+    return Recorded
 
 
 @pytest.fixture
-def description(monkeypatch):
+def launch(monkeypatch):
+    """Load a launch file and start it with some arguments."""
     for name, members in STUBS.items():
         module = ModuleType(name)
         for member in members:
             setattr(module, member, recorder(member))
         monkeypatch.setitem(sys.modules, name, module)
-    (entities,) = runpy.run_path(str(LAUNCH_FILE))["generate_launch_description"]().args
-    return entities
+    monkeypatch.delitem(sys.modules, "gtmr_msgs_py.launching", raising=False)
+    from gtmr_msgs_py import launching
+
+    monkeypatch.setattr(launching, "share", lambda: ROOT)
+
+    def start(name, **texts):
+        loaded = runpy.run_path(str(ROOT / "launch" / f"{name}.launch.py"))
+        (entities,) = loaded["generate_launch_description"]().args
+        defaults = {e.args[0]: e.default_value for e in entities if e.kind != "OpaqueFunction"}
+        context = SimpleNamespace(launch_configurations=defaults | texts)
+        return loaded["ARGUMENTS"], entities[-1].function(context)
+
+    yield start
+    sys.modules.pop("gtmr_msgs_py.launching", None)
 
 
-def test_all_three_nodes_are_started(description):
-    nodes = [entity for entity in description if entity.kind == "Node"]
+def parameters(node):
+    """What a node is given beside the parameter file."""
+    path, given = node.parameters
+    assert Path(path).is_file()
+    return given
+
+
+@pytest.mark.parametrize("name", LAUNCHED)
+def test_the_suite_is_started_from_executables_that_exist(launch, name):
+    _, nodes = launch(name)
     assert {node.package for node in nodes} == {"gtmr"}
-    assert [node.executable for node in nodes] == list(MODELS)
+    assert [node.executable for node in nodes] == LAUNCHED[name]
+    assert all((ROOT / "scripts" / node.executable).is_file() for node in nodes)
 
 
-def test_every_parameter_exists_and_has_the_type_it_is_given(description):
-    for node in (entity for entity in description if entity.kind == "Node"):
-        model = MODELS[node.executable]()
-        known = {d.name: d.value for d in declarations(model, {"vehicle": "paper"})}
-        (given,) = node.parameters
-        for name, value in given.items():
-            assert type(known[name]) is value.value_type, name
+@pytest.mark.parametrize("name", LAUNCHED)
+def test_every_argument_is_described_and_reaches_the_parameter_it_names(launch, name):
+    arguments, _ = launch(name)
+    assert all(argument.description for argument in arguments.values())
+    as_parameters = {n: a for n, a in arguments.items() if a.parameter_of}
+    _, nodes = launch(name, **{n: TEXTS[n] for n in as_parameters})
+    for argument, meant in as_parameters.items():
+        for node in nodes:
+            assert (argument in parameters(node)) == (
+                node.executable in meant.parameter_of
+            ) or node.executable == "sim", argument
 
 
-def test_every_argument_is_used_and_described(description):
-    declared = {e.args[0]: e for e in description if e.kind == "DeclareLaunchArgument"}
-    assert all(argument.description for argument in declared.values())
-    used = set()
-    for node in (entity for entity in description if entity.kind == "Node"):
-        for value in node.parameters[0].values():
-            source = value.args[0]
-            parts = [source] if source.kind == "LaunchConfiguration" else source.args[0]
-            used |= {p.args[0] for p in parts if not isinstance(p, str)}
-    assert used == set(declared)
+@pytest.mark.parametrize("name", LAUNCHED)
+def test_every_parameter_exists_and_has_the_type_it_is_given(launch, name):
+    arguments, _ = launch(name)
+    texts = {n: TEXTS[n] for n, a in arguments.items() if a.parameter_of}
+    _, nodes = launch(name, bag="bags/new", **texts)
+    for node in nodes:
+        model, class_ = MODELS[node.executable]
+        known = {d.name: d.value for d in declarations(model(), class_.PRESETS)}
+        known["use_sim_time"] = False
+        for parameter, value in parameters(node).items():
+            assert type(known[parameter]) is type(value), parameter
 
 
-def test_the_defaults_are_those_of_the_nodes(description):
-    declared = {e.args[0]: e for e in description if e.kind == "DeclareLaunchArgument"}
-    known = {
-        d.name: d.value
-        for model in MODELS.values()
-        for d in declarations(model(), {"vehicle": "paper"})
-    }
-    for name, argument in declared.items():
-        assert argument.default_value == str(known[name]).lower()
+def test_what_is_not_given_is_left_to_the_parameter_file(launch):
+    _, nodes = launch("inspection")
+    assert parameters(nodes[0]) == {"recorders": 0}
+    assert parameters(nodes[1]) == {"recorders": 0, "use_sim_time": True}
+
+
+def test_a_recorded_flight_waits_for_its_recorder(launch):
+    _, (sim, nmpc, monitor) = launch("inspection", bag="bags/new")
+    assert parameters(sim)["recorders"] == parameters(nmpc)["recorders"] == 1
+    assert parameters(monitor)["bag"] == "bags/new"
+
+
+def test_viewers_start_only_when_asked_for(launch):
+    _, nodes = launch("inspection", rviz="true", foxglove="true")
+    assert [node.package for node in nodes[3:]] == ["rviz2", "foxglove_bridge"]
+    assert Path(nodes[3].arguments[1]).is_file()
+
+
+def test_two_flights_are_apart_and_end_together(launch):
+    _, nodes = launch("compare", seed="3", bag="bags/new")
+    sims = [node for node in nodes if node.executable == "sim"]
+    assert [node.namespace for node in sims] == ["nominal", "robust"]
+    modes = {n.namespace: parameters(n)["mode"] for n in nodes if n.executable == "nmpc"}
+    assert modes == {"nominal": "nominal", "robust": "robust"}
+    assert all(("/clock", "clock") in node.remappings for node in sims)
+    assert all(parameters(node)["seed"] == 3 for node in sims)
+    assert parameters(nodes[-1])["namespaces"] == ["nominal", "robust"]
+    ends = [sim.on_exit.function(None) for sim in sims]
+    assert [[action.kind for action in end] for end in ends] == [[], ["Shutdown"]]
+
+
+@pytest.mark.parametrize(
+    ("texts", "reason"),
+    [
+        ({"seed": "many"}, "seed:=many: expected int"),
+        ({"sample_zeta": "1"}, "sample_zeta:=1: expected bool"),
+        ({"params_file": "nope"}, "params_file:=nope: there is paper, wind, worst-case"),
+        ({"params_file": "nope.yaml"}, "params_file:=nope.yaml: there is"),
+    ],
+)
+def test_an_argument_that_cannot_be_used_is_named(launch, texts, reason):
+    with pytest.raises(ValueError, match=reason):
+        launch("inspection", **texts)

@@ -10,15 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rclpy.serialization import deserialize_message, serialize_message
-from visualization_msgs.msg import Marker
 
-from gtmr_model import CHANNELS, Helix, Tower, Vehicle
+from gtmr_model import CHANNELS, Helix, Tower
 from gtmr_model.dynamics import ATTITUDE, rotation
 from gtmr_msgs_py import (
     attitude,
     clearance,
     diagnostics,
-    markers,
     odometry,
     path,
     rotor_command,
@@ -218,34 +216,6 @@ def test_figures_come_back_from_diagnostics_as_what_they_are():
     (status,) = msg.status
     assert (status.level, status.message) == (b"\x01", "late")
     assert diagnostics.decode(status) == values
-
-
-def test_the_drawn_rotors_sit_and_tilt_where_the_vehicle_has_them():
-    vehicle, eta = Vehicle.paper(), np.array([0.1, -0.2, 2.0])
-    x = np.r_[1.0, 2.0, 3.0, eta]
-    msg = over_the_wire(markers.encode(0, markers.vehicle(vehicle, x)))
-    discs = [marker for marker in msg.markers if marker.ns == "propellers"]
-    assert len(discs) == vehicle.n_rotors
-    for disc, rotor in zip(discs, vehicle.rotors, strict=True):
-        hub = x[:3] + model_rotation(eta) @ rotor.position_m
-        p = disc.pose.position
-        assert [p.x, p.y, p.z] == pytest.approx(hub)
-        up = turn(disc.pose.orientation, np.array([0.0, 0.0, 1.0]))
-        assert up == pytest.approx(model_rotation(eta) @ rotor.axis)
-
-
-def test_shells_are_drawn_at_their_radius():
-    shells = markers.tower(Tower()) + markers.tightened_shell(Tower(), 0.1, "robust")
-    over_the_wire(markers.encode(0, shells))
-    radii = {marker.ns: 0.5 * marker.scale.x for marker in shells}
-    assert radii == pytest.approx({"tower": 1.0, "d_min": 1.2, "tightened": 1.3})
-    assert {marker.header.frame_id for marker in shells} == {"map"}
-
-
-def test_the_plan_is_drawn_in_the_colour_of_its_mode():
-    lines = [markers.plan(np.zeros((21, 3)), mode)[0] for mode in ("nominal", "robust")]
-    assert all(line.type == Marker.LINE_STRIP and len(line.points) == 21 for line in lines)
-    assert lines[0].color != lines[1].color
 
 
 def test_every_topic_is_named_once_and_described():

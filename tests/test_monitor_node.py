@@ -17,6 +17,7 @@ from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
 from rosbags.highlevel import AnyReader  # noqa: E402
 
 from gtmr_model import Tower  # noqa: E402
@@ -65,7 +66,7 @@ class Graph:
             lambda: (
                 self.odometry.get_subscription_count() >= 1
                 and self.node.count_publishers(self.residual_topic) >= 1
-                and any(status.name == "monitor: clearance" for status in self.statuses)
+                and any(status.name.endswith("monitor: clearance") for status in self.statuses)
             )
         )
 
@@ -249,6 +250,56 @@ def test_a_violation_shows_in_the_diagnostics(graph):
     assert (last["violations"], last["recording"]) == (1, False)
     assert last["worst_residual_m"] == pytest.approx(0.05)
     assert last["residual_m"] == pytest.approx(-0.1)
+
+
+def test_time_that_goes_back_begins_another_flight(graph):
+    with monitor() as process:
+        graph.await_monitor()
+        graph.publish(10, position=(1.15, 0.0, 2.0))
+        graph.wait_until(lambda: any(f["violations"] == 1 for f in figures(graph)))
+        for k in range(3):
+            graph.publish(k, position=(1.3, 0.0, 2.0))
+        graph.wait_until(lambda: figures(graph)[-1]["samples"] == 3)
+        stop(process)
+
+    assert figures(graph)[-1]["violations"] == 0
+
+
+def test_an_estimator_that_publishes_best_effort_is_heard_and_recorded(graph, tmp_path):
+    bag = tmp_path / "bag"
+    offered = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    graph.node.destroy_publisher(graph.odometry)
+    with monitor(f"bag:={bag}") as process:
+        graph.odometry = graph.node.create_publisher(Odometry, "odom", offered)
+        graph.await_monitor()
+        for k in range(5):
+            graph.publish(k)
+        graph.wait_until(lambda: len(graph.residuals) == 5)
+        assert "best effort" in stop(process)
+
+    assert len(read_flight(bag).t) == 5
+
+
+def test_several_vehicles_go_into_one_bag(graph, tmp_path):
+    bag = tmp_path / "bag"
+    hex1 = Graph("/hex1")
+    try:
+        with monitor(f"bag:={bag}", "namespaces:=['', hex1]") as process:
+            graph.await_monitor()
+            hex1.wait_until(lambda: hex1.odometry.get_subscription_count() == 1)
+            hex1.wait_until(lambda: hex1.node.count_publishers(hex1.residual_topic) == 1)
+            graph.publish(0, position=(1.4, 0.0, 2.0))
+            hex1.publish(1, position=(1.5, 0.0, 2.0))
+            graph.wait_until(lambda: len(graph.residuals) == 1)
+            hex1.wait_until(lambda: len(hex1.residuals) == 1)
+            stop(process)
+    finally:
+        hex1.close()
+
+    assert graph.residuals == pytest.approx([-0.2])
+    assert read_flight(bag, "/hex1").recorded_residual == pytest.approx([-0.3])
+    assert read_flight(bag, "").recorded_residual == pytest.approx([-0.2])
+    assert read_flight(bag, "/hex1").seed == 7
 
 
 @pytest.mark.parametrize("parameter", ["bag:={folder}", "tower.radius_m:=-1.0"])

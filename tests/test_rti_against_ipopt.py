@@ -2,10 +2,18 @@
 
 import numpy as np
 import pytest
-from reference_nlp import solve_with_ipopt
 
 from gtmr_nmpc import ControllerConfig
 from gtmr_nmpc.rti import RealTimeIteration, Trajectory
+from gtmr_study.nlp import InspectionNlp
+
+IPOPT = {
+    "ipopt.tol": 1e-12,
+    "ipopt.bound_relax_factor": 0.0,
+    "ipopt.print_level": 0,
+    "ipopt.sb": "yes",
+    "print_time": False,
+}
 
 CASES = {
     "calm": (0.0, 0.0),
@@ -47,10 +55,9 @@ def assert_case_is(case, config, iterate, slack, prep):
 
 
 def assert_same_solution(iterate, slack, reference):
-    x, u, reference_slack = reference
-    np.testing.assert_allclose(iterate.u[0], u[0], atol=1e-6)
-    np.testing.assert_allclose(iterate.x, x, atol=1e-6)
-    np.testing.assert_allclose(slack, reference_slack, atol=1e-6)
+    np.testing.assert_allclose(iterate.u[0], reference.u[0], atol=1e-6)
+    np.testing.assert_allclose(iterate.x, reference.x, atol=1e-6)
+    np.testing.assert_allclose(slack, reference.slack, atol=1e-6)
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -60,7 +67,8 @@ def test_converged_rti_with_frozen_margins_is_the_nlp_with_those_margins(mode, c
     x0 = start(config, *CASES[case])
     iterate, slack, prep = converged(config, mode, x0)
     assert_case_is(case, config, iterate, slack, prep)
-    reference = solve_with_ipopt(config, 0.0, x0, prep.margins.total)
+    nlp = InspectionNlp(config, "ipopt", IPOPT)
+    reference = nlp.solve(0.0, x0, prep.margins.total, None)
     assert_same_solution(iterate, slack, reference)
 
 
@@ -74,5 +82,6 @@ def test_converged_rti_with_margin_gradient_is_eq_15(case):
     frozen, *_ = converged(config.model_copy(update={"tightening": "frozen"}), "robust", x0)
     if case == "touching":
         assert np.abs(frozen.u[0] - iterate.u[0]).max() > 1.0
-    reference = solve_with_ipopt(config, 0.0, x0, None)
+    nlp = InspectionNlp(config, "ipopt", IPOPT, margins_given=False)
+    reference = nlp.solve(0.0, x0, None, None)
     assert_same_solution(iterate, slack, reference)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,6 +77,24 @@ class Helix(YamlModel):
             yaw=angle + np.pi,
             yaw_rate=rate,
         )
+
+    def facing(self, time_s: float, tower: Tower) -> float:
+        """Yaw that faces the tower from the helix at one instant.
+
+        Parameters
+        ----------
+        time_s : float
+            Instant [s].
+        tower : Tower
+            What the helix goes round.
+
+        Returns
+        -------
+        float
+            Grows without wrapping round [rad].
+        """
+        rate = self.speed_m_s / (tower.radius_m + self.offset_m)
+        return self.start_angle_rad + rate * time_s + math.pi
 
     def initial_state(self, tower: Tower, vehicle: Vehicle) -> NDArray[np.float64]:
         """State that flies along the helix at t = 0, level and with hover rotor speeds.

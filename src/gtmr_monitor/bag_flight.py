@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from gtmr_model import ConfigError, Helix, Tower, YamlModel
 from gtmr_model.uncertainty import N_ZETA
 from gtmr_monitor.bag import BagError
-from gtmr_monitor.bag_reader import BagMessage, is_whole, read_messages
+from gtmr_monitor.bag_reader import is_whole, read_messages
 from gtmr_monitor.flight import Flight, Margins
 
 Array = NDArray[np.float64]
@@ -47,7 +47,11 @@ _VALUE_FIELDS = (
 )  # fmt: skip
 
 
-def read_flight(path: str | Path, namespace: str | None = None) -> Flight:
+def read_flight(
+    path: str | Path,
+    namespace: str | None = None,
+    renamed: Mapping[str, str] | None = None,
+) -> Flight:
     """Read the flight that a bag recorded.
 
     Where the simulation was reset, the flight is what came after the last reset. A bag without an
@@ -59,6 +63,8 @@ def read_flight(path: str | Path, namespace: str | None = None) -> Flight:
         A rosbag2 folder, with or without its metadata.yaml, or an MCAP file.
     namespace : str, optional
         Of the vehicle's nodes, for example ``/hex1``; needed if there are several in the bag.
+    renamed : mapping, optional
+        Topics of a bag from elsewhere, and what they are called here.
 
     Returns
     -------
@@ -72,8 +78,9 @@ def read_flight(path: str | Path, namespace: str | None = None) -> Flight:
     path = Path(path)
     by_topic: dict[str, list[TimedMessage]] = defaultdict(list)
     for message in read_messages(path):
-        if _is_wanted(message):
-            by_topic[message.topic].append((message.log_time_ns, message.decode()))
+        topic = _renamed(message.topic, renamed or {})
+        if _is_wanted(topic, message.msgtype):
+            by_topic[topic].append((message.log_time_ns, message.decode()))
     namespace = _namespace(path, by_topic) if namespace is None else namespace.rstrip("/")
     odometry = _one_flight(by_topic[f"{namespace}/{ODOM}"])
     if not odometry:
@@ -92,7 +99,7 @@ def read_flight(path: str | Path, namespace: str | None = None) -> Flight:
         index = np.searchsorted(log_ns, np.array(logged_ns, dtype=np.int64), side="right") - 1
         return stamps_ns[np.clip(index, 0, None)]
 
-    commands = _strictly_later([_stamp_ns(m) for _, m in recorded(ROTOR_COMMAND)])
+    commands = strictly_later([_stamp_ns(m) for _, m in recorded(ROTOR_COMMAND)])
 
     def step_times(messages: list[TimedMessage]) -> Array:
         """Stamps of the commands, as one step sends one of each; failing that, of the odometry."""
@@ -104,7 +111,7 @@ def read_flight(path: str | Path, namespace: str | None = None) -> Flight:
     sim, nmpc = (parameters.get(f"{namespace}/{node}", {}) for node in ("sim", "nmpc"))
     monitor = parameters.get(f"{namespace}/monitor", {})
     poses = np.array([_pose(m) for _, m in odometry])
-    rotors = _strictly_later(recorded(ROTOR_STATES), key=lambda item: _stamp_ns(item[1]))
+    rotors = strictly_later(recorded(ROTOR_STATES), key=lambda item: _stamp_ns(item[1]))
     solve = recorded(SOLVE_TIME)
     tightening = recorded(TIGHTENING)
     mode_times = flight_time(latest_stamp([log for log, _ in modes])).tolist()
@@ -132,9 +139,14 @@ def read_flight(path: str | Path, namespace: str | None = None) -> Flight:
     )
 
 
-def _is_wanted(message: BagMessage) -> bool:
-    name = message.topic.rpartition("/")[2]
-    return message.topic == PARAMETER_EVENTS or _TYPES.get(name) == message.msgtype
+def _renamed(topic: str, renamed: Mapping[str, str]) -> str:
+    """Call a topic as it is called here; one whose name another takes over drops out."""
+    return renamed.get(topic, "" if topic in renamed.values() else topic)
+
+
+def _is_wanted(topic: str, msgtype: str) -> bool:
+    name = topic.rpartition("/")[2]
+    return topic == PARAMETER_EVENTS or _TYPES.get(name) == msgtype
 
 
 def _namespace(path: Path, topics: Iterable[str]) -> str:
@@ -155,11 +167,23 @@ def _one_flight(odometry: list[TimedMessage]) -> list[TimedMessage]:
     ]
     flown = odometry[resets[-1] if resets else 0 :]
     finite = [item for item in flown if math.isfinite(sum(_pose(item[1])))]
-    return _strictly_later(finite, key=lambda item: _stamp_ns(item[1]))
+    return strictly_later(finite, key=lambda item: _stamp_ns(item[1]))
 
 
-def _strictly_later(items: list[T], key: Callable[[T], Any] = lambda item: item) -> list[T]:
-    """Leave out what is not later than all that came before."""
+def strictly_later(items: Iterable[T], key: Callable[[T], Any] = lambda item: item) -> list[T]:
+    """Leave out what is not later than all that came before.
+
+    Parameters
+    ----------
+    items : iterable
+        In the order of their arrival.
+    key : callable
+        Gives the time of an item; the item itself if left out.
+
+    Returns
+    -------
+    list
+    """
     kept: list[T] = []
     for item in items:
         if not kept or key(item) > key(kept[-1]):
@@ -176,7 +200,7 @@ def _parameters(
     for log_ns, event in events:
         node = parameters[event.node]
         for parameter in (*event.new_parameters, *event.changed_parameters):
-            node[parameter.name] = _value(parameter.value)
+            node[parameter.name] = parameter_value(parameter.value)
         for parameter in event.deleted_parameters:
             node.pop(parameter.name, None)
         mode = node.get("mode")
@@ -185,7 +209,18 @@ def _parameters(
     return dict(parameters), modes
 
 
-def _value(value: Any) -> Any:
+def parameter_value(value: Any) -> Any:
+    """Read a ``rcl_interfaces/msg/ParameterValue`` from a bag.
+
+    Parameters
+    ----------
+    value : Any
+        The message.
+
+    Returns
+    -------
+    bool, int, float, str, list or None
+    """
     name = _VALUE_FIELDS[value.type] if value.type < len(_VALUE_FIELDS) else None
     plain = getattr(value, name) if name else None
     return plain.tolist() if isinstance(plain, np.ndarray) else plain

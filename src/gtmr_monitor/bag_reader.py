@@ -45,6 +45,8 @@ class BagMessage:
     """For example ``nav_msgs/msg/Odometry``."""
     log_time_ns: int
     """When it was received, Unix time [ns]."""
+    publish_time_ns: int
+    """When it was sent, Unix time [ns]; as it was received where the recorder did not know."""
     data: bytes = field(repr=False)
     """The message in CDR."""
 
@@ -161,7 +163,8 @@ def _read_file(path: Path) -> Iterator[BagMessage]:
                 elif isinstance(record, Message):
                     channel = channels[record.channel_id]
                     msgtype = schemas[channel.schema_id].name
-                    yield BagMessage(channel.topic, msgtype, record.log_time, record.data)
+                    sent_ns = record.publish_time or record.log_time
+                    yield BagMessage(channel.topic, msgtype, record.log_time, sent_ns, record.data)
         except _TORN:
             warnings.warn(
                 f"{path}: the bag has no end; read up to its last whole chunk",

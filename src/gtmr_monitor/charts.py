@@ -80,6 +80,12 @@ def residual(flown: Flown) -> go.Figure:
             x=flight.t, y=flight.residual, mode="lines", name=line.label, line=_pen(line),
             legendgroup=line.label, hovertemplate="%{y:.3f} m", row=1, col=1,
         )  # fmt: skip
+        if flight.predictions is not None:
+            figure.add_scatter(
+                x=flight.predictions.t, y=flight.predictions.worst, mode="lines",
+                name=f"{line.label}, foreseen", line=_pen(line) | {"dash": "dot", "width": 1.2},
+                hovertemplate="%{y:.3f} m", row=1, col=1,
+            )  # fmt: skip
         quartiles = flight.residual_statistics["residual_m"]
         figure.add_box(
             x=[line.label], lowerfence=[quartiles["min"]], q1=[quartiles["q1"]],

@@ -93,6 +93,11 @@ def residual(flown: Flown) -> Figure:
     over_time, box = figure.subplots(1, 2, width_ratios=(3.4, 1.0), sharey=True)
     for flight, line in flown:
         over_time.plot(flight.t, flight.residual, **_pen(line), label=line.label)
+        if flight.predictions is not None:
+            over_time.plot(
+                flight.predictions.t, flight.predictions.worst, color=line.colour, linestyle=":",
+                linewidth=0.9, label=f"{line.label}, foreseen",
+            )  # fmt: skip
         for at, mode in flight.modes[1:]:
             over_time.axvline(at, color=line.colour, linestyle=":", linewidth=1.0)
             over_time.annotate(

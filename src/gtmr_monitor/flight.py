@@ -50,6 +50,22 @@ class Margins:
 
 
 @dataclass(frozen=True)
+class Predictions:
+    """What the plans of M controller steps foresee of the clearance."""
+
+    t: Array
+    """When they were made [s], shape (M,)."""
+    residual: Array
+    """s = d_min - d_T at each stage of each plan [m], shape (M, N + 1)."""
+
+    @property
+    def worst(self) -> Array:
+        """The largest residual of each plan [m], shape (M,)."""
+        largest: Array = self.residual.max(axis=1)
+        return largest
+
+
+@dataclass(frozen=True)
 class Flight:
     """One flight as it was recorded; every time is in seconds since its first odometry."""
 
@@ -93,6 +109,11 @@ class Flight:
     """Last known value of every parameter, by fully qualified node name."""
     truncated: bool = False
     """Whether the bag has no end, because its writer was killed."""
+    predictions: Predictions | None = None
+    """What the controller foresaw; None if that was not looked into."""
+    replayed: bool = False
+    """Whether margins, predictions and solve times are of a controller that was fed the recorded
+    states again and did not fly."""
 
     @property
     def mode(self) -> str:

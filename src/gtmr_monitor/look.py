@@ -25,6 +25,8 @@ TOWER = "#c9c9c9"
 MODE_COLOURS = {"nominal": "#D55E00", "robust": "#0072B2"}
 OTHER_COLOUR = "#CC79A7"
 """Flights that switched their mode, or do not tell it."""
+REPLAYED_COLOUR = "#009E73"
+"""What a controller would have done that did not fly."""
 Dash = Literal["solid", "dash", "dot"]
 DASHES: tuple[Dash, ...] = ("solid", "dash", "dot")
 """Tells flights of the same mode apart."""
@@ -89,16 +91,18 @@ def lines(flights: Sequence[Flight]) -> list[Line]:
         One per flight; a mode flown once is labelled by the mode alone.
     """
     seen: dict[str, int] = {}
-    modes = [flight.mode for flight in flights]
+    modes = [f"{flight.mode}, replayed" if flight.replayed else flight.mode for flight in flights]
     result = []
     for flight, mode in zip(flights, modes, strict=True):
         number = seen.setdefault(mode, 0)
         seen[mode] += 1
-        alone = modes.count(mode) == 1 and mode != "unknown"
+        alone = modes.count(mode) == 1 and flight.mode != "unknown"
         result.append(
             Line(
                 label=mode if alone else f"{mode} ({flight.name})",
-                colour=MODE_COLOURS.get(mode, OTHER_COLOUR),
+                colour=REPLAYED_COLOUR
+                if flight.replayed
+                else MODE_COLOURS.get(mode, OTHER_COLOUR),
                 dash=DASHES[number % len(DASHES)],
             )
         )
@@ -186,7 +190,9 @@ def residual_range(flights: Sequence[Flight]) -> tuple[float, float]:
     tuple of float
         [m].
     """
-    low = min(float(flight.residual.min()) for flight in flights)
-    high = max(0.0, *(float(flight.residual.max()) for flight in flights))
+    drawn = [flight.residual for flight in flights]
+    drawn += [flight.predictions.worst for flight in flights if flight.predictions is not None]
+    low = min(float(values.min(initial=np.inf)) for values in drawn)
+    high = max(0.0, *(float(values.max(initial=-np.inf)) for values in drawn))
     span = max(high - low, 0.01)
     return low - 0.05 * span, max(high + 0.05 * span, 0.1 * span)

@@ -27,7 +27,8 @@ CAPTIONS = {
     "residual": (
         "Clearance residual",
         "s = d<sub>min</sub> − d<sub>T</sub> at every odometry message; below the dashed line "
-        "the clearance constraint holds. Boxes show quartiles, whiskers the extremes.",
+        "the clearance constraint holds. Boxes show quartiles, whiskers the extremes. What is "
+        "foreseen, where a flight was replayed, is the largest residual of each plan.",
     ),
     "margins": (
         "Tightening margins",
@@ -98,6 +99,13 @@ def _page(flown: Flown) -> str:
         for flight, line in flown
         if flight.truncated
     )
+    warnings += "".join(
+        f"<p>{escape(line.label)}: this controller did not fly. It was fed the recorded states "
+        "again: trajectory, residual, rotor speeds and attitude are the recorded ones; margins, "
+        "what is foreseen, slack and solve times are its own.</p>"
+        for flight, line in flown
+        if flight.replayed
+    )
     # The icon in the page keeps the browser from asking for one.
     return f"""<!DOCTYPE html>
 <html lang="en">
@@ -114,7 +122,7 @@ def _page(flown: Flown) -> str:
 {warnings}
 <div class="tables">
 <section><h2>Summary</h2>
-{_table(flown, _SUMMARY)}</section>
+{_table(flown, _summary_rows(flown))}</section>
 <section><h2>Flight conditions</h2>
 {_table(flown, _CONDITIONS)}</section>
 </div>
@@ -122,6 +130,11 @@ def _page(flown: Flown) -> str:
 </body>
 </html>
 """
+
+
+def _summary_rows(flown: Flown) -> Sequence[Row]:
+    foreseen = any(flight.predictions is not None for flight, _ in flown)
+    return (*_SUMMARY, *_COMPARISON) if foreseen else _SUMMARY
 
 
 def _section(name: str, flown: Flown) -> str:
@@ -186,6 +199,16 @@ def _softened(flight: Flight) -> str:
     return f"{used} of {flight.margins.t.size}"
 
 
+def _foreseen(flight: Flight) -> str:
+    if flight.predictions is None or not flight.predictions.t.size:
+        return "not recorded"
+    return _signed(float(flight.predictions.residual.max()))
+
+
+def _largest_margin(flight: Flight) -> str:
+    return f"{flight.margins.total.max():.3f}" if flight.margins.t.size else "not recorded"
+
+
 def _channel(index: int) -> Value:
     def value(flight: Flight) -> str:
         if flight.zeta is None:
@@ -222,6 +245,10 @@ _SUMMARY: tuple[Row, ...] = (
     ("maximum [ms]", _solve("max")),
     ("deadline misses", _misses),
     ("steps with slack", _softened),
+)
+_COMPARISON: tuple[Row, ...] = (
+    ("residual foreseen, maximum [m]", _foreseen),
+    ("largest margin [m]", _largest_margin),
 )
 _CONDITIONS: tuple[Row, ...] = (
     ("duration", lambda f: f"{f.duration_s:.1f} s"),

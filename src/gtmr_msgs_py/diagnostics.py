@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from gtmr_msgs_py import stamps
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
 
 Value = str | bool | int | float
 
@@ -19,6 +23,22 @@ class Level(IntEnum):
     WARN = 1
     ERROR = 2
     STALE = 3
+
+
+def source(node: Node) -> str:
+    """Say who is speaking, as viewers group statuses by the part of their name before the colon.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Who publishes.
+
+    Returns
+    -------
+    str
+        Its name, with the namespace if it has one: ``nmpc``, or ``hex1/nmpc``.
+    """
+    return str(node.get_fully_qualified_name()).lstrip("/")
 
 
 def encode(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
@@ -12,7 +12,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from gtmr_model import Tower, Vehicle
-from gtmr_model.dynamics import ATTITUDE, POSITION
+from gtmr_model.dynamics import ATTITUDE, POSITION, ROTORS
 from gtmr_msgs_py import attitude, stamps
 from gtmr_msgs_py.topics import MAP
 
@@ -20,6 +20,10 @@ DRAWN_HEIGHT_M = 20.0
 """Height to which tower and shells are drawn; the model's tower has no end [m]."""
 DRAWN_PROPELLER_RADIUS_M = 0.13
 """Radius of a drawn propeller disc [m]."""
+DRAWN_THRUST_M_PER_N = 0.06
+"""Length of a thrust arrow per thrust [m/N]; at hover it is about a propeller's diameter."""
+DRAWN_STAGE_HEIGHT_M = 0.03
+"""Height of the collar that stands for one stage of the horizon [m]."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +37,26 @@ class Color:
 
 
 CONCRETE = Color(0.75, 0.75, 0.72)
-FORBIDDEN = Color(0.85, 0.2, 0.15, 0.25)
+FORBIDDEN = Color(0.75, 0.1, 0.2, 0.15)
 BODY = Color(0.15, 0.15, 0.18)
-CLOCKWISE = Color(0.9, 0.55, 0.1, 0.9)
-COUNTER_CLOCKWISE = Color(0.2, 0.55, 0.85, 0.9)
-MODE_COLORS = {"nominal": Color(0.85, 0.4, 0.1), "robust": Color(0.1, 0.45, 0.8)}
-"""Colour of what belongs to a controller mode."""
+THRUST = Color(0.902, 0.624, 0.0)
+CLOCKWISE = Color(0.0, 0.62, 0.451, 0.8)
+COUNTER_CLOCKWISE = Color(0.8, 0.475, 0.655, 0.8)
+MODE_COLORS = {"nominal": Color(0.835, 0.369, 0.0), "robust": Color(0.0, 0.447, 0.698)}
+"""Colour of what belongs to a controller mode, the same as in the report."""
+
+NAMESPACES = (
+    "tower",
+    "d_min",
+    "tightened",
+    "tightened_stages",
+    "plan",
+    "body",
+    "arms",
+    "propellers",
+    "thrust",
+)
+"""Every namespace that the nodes publish; what a view shows or hides by itself."""
 
 
 def encode(stamp_ns: int, markers: Iterable[Marker]) -> MarkerArray:
@@ -81,15 +99,22 @@ def tower(tower: Tower) -> list[Marker]:
     ]
 
 
-def tightened_shell(tower: Tower, margin_m: float, mode: str) -> list[Marker]:
-    """Draw the shell that the plan stays out of, in the colour of the mode.
+def tightened_shells(
+    tower: Tower, margins_m: ArrayLike, heights_m: ArrayLike, mode: str
+) -> list[Marker]:
+    """Draw what the plan stays out of, in the colour of the mode.
+
+    A shell of full height stands for the largest margin, and a collar at the height of each stage
+    for the margin of that stage; collars of different margins lie in each other like rings.
 
     Parameters
     ----------
     tower : Tower
         On the z axis of the world frame.
-    margin_m : float
-        The largest alpha_p + alpha_g of the plan [m].
+    margins_m : array_like, shape (N + 1,)
+        alpha_p + alpha_g by stage [m].
+    heights_m : array_like, shape (N + 1,)
+        Planned height by stage, world frame [m].
     mode : str
         ``nominal`` or ``robust``.
 
@@ -97,9 +122,39 @@ def tightened_shell(tower: Tower, margin_m: float, mode: str) -> list[Marker]:
     -------
     list of visualization_msgs.msg.Marker
     """
-    radius = tower.radius_m + tower.min_clearance_m + margin_m
     color = MODE_COLORS[mode]
-    return [_upright_cylinder("tightened", radius, Color(color.r, color.g, color.b, 0.2))]
+    radii = tower.radius_m + tower.min_clearance_m + np.asarray(margins_m, dtype=float)
+    shell = _upright_cylinder("tightened", radii.max(), _faded(color, 0.1))
+    collars = []
+    for i, (radius, height) in enumerate(zip(radii, np.asarray(heights_m), strict=True)):
+        size = (2.0 * radius, 2.0 * radius, DRAWN_STAGE_HEIGHT_M)
+        collar = _marker("tightened_stages", i, Marker.CYLINDER, _faded(color, 0.1), size)
+        collar.pose.position.z = float(height)
+        collars.append(collar)
+    return [shell, *collars]
+
+
+def line(namespace: str, positions: ArrayLike, color: Color, width_m: float) -> Marker:
+    """Draw a line through positions.
+
+    Parameters
+    ----------
+    namespace : str
+        Of the marker.
+    positions : array_like, shape (n, 3)
+        World frame [m].
+    color : Color
+        Of the line.
+    width_m : float
+        Of the line [m].
+
+    Returns
+    -------
+    visualization_msgs.msg.Marker
+    """
+    strip = _marker(namespace, 0, Marker.LINE_STRIP, color, (width_m, 0.0, 0.0))
+    strip.points = [_point(p) for p in np.asarray(positions, dtype=float)]
+    return strip
 
 
 def plan(positions: ArrayLike, mode: str) -> list[Marker]:
@@ -116,9 +171,7 @@ def plan(positions: ArrayLike, mode: str) -> list[Marker]:
     -------
     list of visualization_msgs.msg.Marker
     """
-    line = _marker("plan", 0, Marker.LINE_STRIP, MODE_COLORS[mode], (0.02, 0.0, 0.0))
-    line.points = [_point(p) for p in np.asarray(positions, dtype=float)]
-    return [line]
+    return [line("plan", positions, MODE_COLORS[mode], 0.02)]
 
 
 def vehicle(vehicle: Vehicle, x: ArrayLike) -> list[Marker]:
@@ -127,9 +180,10 @@ def vehicle(vehicle: Vehicle, x: ArrayLike) -> list[Marker]:
     Parameters
     ----------
     vehicle : Vehicle
-        Where the rotors are.
+        Where the rotors are, and what they push.
     x : array_like, shape (6,) or longer
-        State [p, eta, ...]: world frame [m], [rad].
+        State [p, eta, ...]: world frame [m], [rad]. Of a whole state, which ends with the rotor
+        speeds [Hz], thrust is drawn too, as arrows from the hubs.
 
     Returns
     -------
@@ -142,16 +196,28 @@ def vehicle(vehicle: Vehicle, x: ArrayLike) -> list[Marker]:
     body = _marker("body", 0, Marker.CUBE, BODY, (0.16, 0.16, 0.07))
     body.pose = Pose(position=_point(position), orientation=orientation)
     arms = _marker("arms", 0, Marker.LINE_LIST, BODY, (0.02, 0.0, 0.0))
-    discs = []
+    discs, thrusts = [], []
+    thrust_n = vehicle.force_coefficient_n_per_hz2 * state[ROTORS] ** 2
     for i, rotor in enumerate(vehicle.rotors):
         hub = position + body_to_world @ np.asarray(rotor.position_m)
         arms.points += [_point(position), _point(hub)]
         color = CLOCKWISE if rotor.spin == "cw" else COUNTER_CLOCKWISE
         diameter = 2.0 * DRAWN_PROPELLER_RADIUS_M
         disc = _marker("propellers", i, Marker.CYLINDER, color, (diameter, diameter, 0.01))
-        disc.pose = Pose(position=_point(hub), orientation=_z_to(body_to_world @ rotor.axis))
+        up = body_to_world @ rotor.axis
+        disc.pose = Pose(position=_point(hub), orientation=_z_to(up))
         discs.append(disc)
-    return [body, arms, *discs]
+        if thrust_n.size:
+            # Between two points, scale is shaft diameter, head diameter, head length.
+            arrow = _marker("thrust", i, Marker.ARROW, THRUST, (0.018, 0.045, 0.06))
+            tip = hub + DRAWN_THRUST_M_PER_N * thrust_n[i] * up
+            arrow.points = [_point(hub), _point(tip)]
+            thrusts.append(arrow)
+    return [body, arms, *discs, *thrusts]
+
+
+def _faded(color: Color, opacity: float) -> Color:
+    return replace(color, a=opacity)
 
 
 def _upright_cylinder(namespace: str, radius_m: float, color: Color) -> Marker:

@@ -2,6 +2,10 @@
 
 Nested models become dotted names. Description, unit, range and choices come from the field; what
 ROS cannot express is checked by building the model from the proposed values.
+
+This is chosen over generate_parameter_library because the models already exist: they check the
+same configurations where there is no ROS, from YAML files and from Python, in the same words. A
+second declaration of every parameter, and a package that wheels do not bring, would gain nothing.
 """
 
 from __future__ import annotations
@@ -122,7 +126,8 @@ def declarations(
         Top-level fields that are one string, a preset's name or the path of a YAML file, with
         the default name.
     dynamic : collection of str
-        Names of the parameters that may change while the node runs.
+        Names of the parameters that may change while the node runs; the name of a nested model
+        stands for all that is in it.
 
     Returns
     -------
@@ -137,7 +142,7 @@ def _declarations(
     for name, info in type(model).model_fields.items():
         path = (*above, name)
         value = getattr(model, name)
-        read_only = ".".join(path) not in dynamic
+        read_only = not any(".".join(path[:n]) in dynamic for n in range(1, len(path) + 1))
         if not above and name in presets:
             descriptor = ParameterDescriptor(
                 description=_sentence(info),
@@ -186,6 +191,8 @@ def _descriptor(info: FieldInfo, read_only: bool) -> ParameterDescriptor:
 
 def _tuple_constraints(info: FieldInfo) -> str:
     items = get_args(info.annotation)
+    if items[0] is str:
+        return "texts"
     if items[-1] is Ellipsis:
         size = next(c.min_length for c in info.metadata if hasattr(c, "min_length"))
     else:
@@ -226,7 +233,8 @@ class ModelParameters(Generic[M]):
         Top-level fields that are one string, a preset's name or the path of a YAML file, with
         the default name.
     dynamic : collection of str
-        Names of the parameters that may change while the node runs; all others are read-only.
+        Names of the parameters that may change while the node runs, the name of a nested model
+        standing for all that is in it; all others are read-only.
     settle : callable, optional
         Maps the configuration at start to the one to use; what it changes is set before
         parameters become read-only. For values that are drawn or computed once.
@@ -251,6 +259,7 @@ class ModelParameters(Generic[M]):
         self._node = node
         self._model_type = model_type
         self._presets = presets or {}
+        self._loaded: dict[tuple[str, str], YamlModel] = {}
         self._on_change = on_change
         self._declarations = {
             declaration.name: declaration
@@ -309,12 +318,19 @@ class ModelParameters(Generic[M]):
         for name, declaration in self._declarations.items():
             value = proposed.get(name, self._node.get_parameter(name).value)
             if name in self._presets:
-                value = _preset(self._model_type, name, value)
+                value = self._preset(name, value)
             branch = data
             for part in declaration.path[:-1]:
                 branch = branch.setdefault(part, {})
             branch[declaration.path[-1]] = _plain(value)
         return self._model_type.parse(data, self._node.get_name())
+
+    def _preset(self, name: str, value: str) -> YamlModel:
+        """Read a preset once: a file that is edited in flight must not stop other changes."""
+        if (name, value) not in self._loaded:
+            annotation = cast("type[YamlModel]", self._model_type.model_fields[name].annotation)
+            self._loaded[name, value] = annotation.load(name, value)
+        return self._loaded[name, value]
 
     def _ours(self, parameters: Collection[Parameter]) -> dict[str, Any]:
         return {p.name: p.value for p in parameters if p.name in self._declarations}
@@ -333,11 +349,6 @@ class ModelParameters(Generic[M]):
             self.value = self._build({})
             if self._on_change is not None:
                 self._on_change(self.value)
-
-
-def _preset(model_type: type[YamlModel], name: str, value: str) -> YamlModel:
-    annotation = cast("type[YamlModel]", model_type.model_fields[name].annotation)
-    return annotation.load(name, value)
 
 
 def _plain(value: Any) -> Any:

@@ -9,21 +9,24 @@ from collections.abc import Callable
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
-from rclpy.node import Node
 
 from gtmr_model import ConfigError
+from gtmr_msgs_py.suite_node import SuiteNode
 
 BAD_INPUT = 2
 """Exit code when a parameter or an argument cannot be used."""
+MANAGED = "--managed"
+"""Argument that makes a node wait for its lifecycle services to configure and activate it."""
 
 
-def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
+def run(make_node: Callable[[bool], SuiteNode], args: list[str] | None = None) -> int:
     """Run one node until it is told to stop.
 
     Parameters
     ----------
     make_node : callable
-        Makes the node; a ConfigError is reported in one line.
+        Makes the node, managed by its lifecycle services or not, as ``--managed`` among the
+        arguments says; a ConfigError is reported in one line.
     args : list of str, optional
         Command line with ROS arguments; ``sys.argv`` if left out.
 
@@ -40,7 +43,10 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         return BAD_INPUT
     node = None
     try:
-        node = make_node()
+        managed = MANAGED in (sys.argv if args is None else args)
+        node = make_node(managed)
+        if not managed:
+            node.start()
         # What start-up made lives as long as the process: no collection need look at it again.
         gc.collect()
         gc.freeze()

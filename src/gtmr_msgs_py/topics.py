@@ -19,6 +19,12 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
+try:
+    from tf2_msgs.msg import TFMessage
+except ModuleNotFoundError:
+    # Not on PyPI: it comes with an installed ROS 2 only.
+    TFMessage = None
+
 if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.publisher import Publisher
@@ -201,6 +207,14 @@ MARKERS = Topic(
     ("monitor",),
     "Tower, d_min shell and vehicle (sim); tightened shell and plan (nmpc)",
 )
+# Relative, where tf2 has it absolute: without a namespace it is /tf all the same, and of two
+# vehicles in two namespaces neither moves the other's base_link.
+TF = (
+    Topic("tf", TFMessage, ("sim",), (), "Pose of `base_link` in `map`, where tf2_msgs is there")
+    if TFMessage is not None
+    else None
+)
+"""The transform of the vehicle, or None where ``tf2_msgs`` is not installed."""
 CLOCK = Topic("/clock", Clock, ("sim",), ("monitor",), "Simulated time, zero at the start")
 
 TOPICS = (
@@ -215,6 +229,7 @@ TOPICS = (
     CLEARANCE_RESIDUAL,
     DIAGNOSTICS,
     MARKERS,
+    *([] if TF is None else [TF]),
     CLOCK,
 )
 """Every topic of the suite, in the order of the documentation."""

@@ -64,3 +64,7 @@ class ControllerConfig(YamlModel):
     exceeds the constraint's multiplier."""
     slack_l2: float = Field(1e4, gt=0.0)
     """Quadratic penalty on violating the tightened clearance at a stage [1/m^2]."""
+    switch_time_s: float = Field(1.0, ge=0.0, le=10.0)
+    """How long the margins take to come in, or to go, after the mode was switched in flight [s];
+    0 is at once, which jerks a vehicle that is inside the tightened shell. Chosen by measurement;
+    the paper does not switch."""

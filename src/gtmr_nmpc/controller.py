@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gtmr_model.compile import CompileError, warn_interpreted
 from gtmr_model.dynamics import YAW
-from gtmr_nmpc import margins
+from gtmr_nmpc.compiled import CompiledIteration
 from gtmr_nmpc.config import MODES, ControllerConfig, Mode
-from gtmr_nmpc.rti import Preparation, RealTimeIteration, Trajectory
+from gtmr_nmpc.interpreted import InterpretedIteration
+from gtmr_nmpc.iteration import Iteration
 from gtmr_nmpc.solution import Solution, Timing
 
 Array = NDArray[np.float64]
 
-SLACK_TOLERANCE_M = 1e-9
-"""Slack below this is rounding of the QP solver, not a violation [m]."""
+FIXED = ("vehicle", "horizon", "sampling_time_s", "tightening")
+"""Fields of the configuration that the controller is built for."""
 
 
 class Controller:
@@ -27,8 +30,9 @@ class Controller:
     config : ControllerConfig, optional
         The problem; the paper's with our defaults if left out.
     mode : str
-        ``nominal`` for eq. (5) or ``robust`` for eq. (15). Both share one warm start, so that
-        switching in flight makes no bump.
+        ``nominal`` for eq. (5) or ``robust`` for eq. (15). Both share one warm start, and after a
+        switch in flight the margins come in or go over ``switch_time_s``, so that it makes no
+        bump.
 
     Raises
     ------
@@ -36,9 +40,14 @@ class Controller:
         If the mode is unknown.
     """
 
-    def __init__(self, config: ControllerConfig | None = None, mode: Mode = "robust") -> None:
+    def __init__(
+        self,
+        config: ControllerConfig | None = None,
+        mode: Mode = "robust",
+        iteration: Iteration | None = None,
+    ) -> None:
         self.config = config if config is not None else ControllerConfig()
-        self._rti = RealTimeIteration(self.config)
+        self._iteration = iteration if iteration is not None else fastest_iteration(self.config)
         self.mode = mode
         self.reset()
 
@@ -52,11 +61,32 @@ class Controller:
         if mode not in MODES:
             raise ValueError(f"mode = {mode!r}: allowed is {' or '.join(MODES)}")
         self._mode: Mode = mode
-        self._prepared: tuple[float, float, Preparation] | None = None
+        self._prepared: tuple[float, float, float] | None = None
+
+    def reconfigure(self, config: ControllerConfig) -> None:
+        """Take over other bounds, weights, clearance or slack penalties; keeps the warm start.
+
+        Parameters
+        ----------
+        config : ControllerConfig
+            The problem from the next step on, of the same vehicle, horizon and sampling time.
+
+        Raises
+        ------
+        ValueError
+            If it differs in one of these, which need a new controller.
+        """
+        for fixed in FIXED:
+            if getattr(config, fixed) != getattr(self.config, fixed):
+                raise ValueError(f"{fixed} cannot change in flight: make a new controller")
+        self.config = config
+        self._iteration.reconfigure(config)
+        self._prepared = None
 
     def reset(self) -> None:
         """Forget the warm start, as before the first step."""
-        self._last: tuple[float, Trajectory] | None = None
+        self._last_t: float | None = None
+        self._last_progress = 0.0
         self._prepared = None
 
     def prepare(self, t: float) -> None:
@@ -68,9 +98,8 @@ class Controller:
             When the next state will be measured [s]. Without a warm start there is nothing to
             prepare yet.
         """
-        warm = self._shifted(t)
-        if warm is not None:
-            self._prepare(t, warm)
+        if self._warm(t):
+            self._prepare(t)
 
     def feedback(self, t: float, x: ArrayLike) -> Solution:
         """Plan from a measured state; fast if ``prepare`` was called for the same time.
@@ -94,32 +123,22 @@ class Controller:
         """
         x = self._checked(t, x)
         if self._prepared is None or self._prepared[0] != t:
-            self._prepare(t, self._shifted(t) or self._cold(x))
+            if not self._warm(t):
+                self._iteration.cold(x)
+            self._prepare(t)
         assert self._prepared is not None
-        _, prepare_s, prep = self._prepared
+        _, prepare_s, progress = self._prepared
         self._prepared = None
 
         start = time.perf_counter()
-        result = self._rti.feedback(prep, x)
-        if result is None:
-            trajectory, slack, status = prep.iterate, np.zeros(self.config.horizon), "failed"
-        else:
-            trajectory, slack = result
-            status = "softened" if slack.max() > SLACK_TOLERANCE_M else "solved"
-        self._last = (t, trajectory)
-        # Stage 0 is measured, not planned: its violation is a fact and no variable of the QP.
-        now = margins.tightened_residual(self.config.tower, x[None, :3], prep.margins.total[:1])
+        plan = self._iteration.feedback(x)
+        feedback_s = time.perf_counter() - start
+        self._last_t, self._last_progress = t, progress
         return Solution(
-            u=trajectory.u[0],
-            x_plan=trajectory.x,
-            u_plan=trajectory.u,
-            alpha_p=prep.margins.parametric,
-            alpha_p_by_channel=prep.margins.by_channel,
-            eps_s=prep.margins.eps_s,
-            alpha_g=prep.margins.gust,
-            slack=np.r_[np.maximum(now, 0.0), slack],
-            status=status,
-            timing=Timing(prepare_s, time.perf_counter() - start),
+            u=plan.u_plan[0],
+            margin_scale=_margin_scale(progress),
+            timing=Timing(prepare_s, feedback_s),
+            **plan._asdict(),
         )
 
     def step(self, t: float, x: ArrayLike) -> Solution:
@@ -144,29 +163,30 @@ class Controller:
         """
         return self.feedback(t, x)
 
-    def _prepare(self, t: float, iterate: Trajectory) -> None:
+    def _prepare(self, t: float) -> None:
         start = time.perf_counter()
-        prep = self._rti.prepare(t, iterate, self._mode)
-        self._prepared = (t, time.perf_counter() - start, prep)
+        progress = self._margin_progress(t)
+        self._iteration.prepare(t, _margin_scale(progress))
+        self._prepared = (t, time.perf_counter() - start, progress)
 
-    def _shifted(self, t: float) -> Trajectory | None:
-        """Warm start for time t: the last plan from there on, the rotors then holding speed."""
-        if self._last is None:
-            return None
-        last_t, plan = self._last
-        shift = round((t - last_t) / self.config.sampling_time_s)
-        if not 0 <= shift < self.config.horizon:
-            return None
-        hold = np.zeros((shift, self.config.vehicle.n_rotors))
-        states = list(plan.x[shift:])
-        for u in hold:
-            states.append(self._rti.predict(states[-1], u))
-        return Trajectory(x=np.array(states), u=np.vstack([plan.u[shift:], hold]))
+    def _margin_progress(self, t: float) -> float:
+        """How far the margins have come in at time t: they come and go over the switch time."""
+        due = 1.0 if self._mode == "robust" else 0.0
+        switch_time_s = self.config.switch_time_s
+        if self._last_t is None or switch_time_s == 0.0:
+            return due
+        most = max(0.0, t - self._last_t) / switch_time_s
+        return self._last_progress + min(max(due - self._last_progress, -most), most)
 
-    def _cold(self, x: Array) -> Trajectory:
-        """Start from the state held for the whole horizon."""
-        n = self.config.horizon
-        return Trajectory(x=np.tile(x, (n + 1, 1)), u=np.zeros((n, self.config.vehicle.n_rotors)))
+    def _warm(self, t: float) -> bool:
+        """Start from the last plan, if it reaches time t."""
+        if self._last_t is None:
+            return False
+        steps = round((t - self._last_t) / self.config.sampling_time_s)
+        if not 0 <= steps < self.config.horizon:
+            return False
+        self._iteration.warm(steps)
+        return True
 
     def _checked(self, t: float, x: ArrayLike) -> Array:
         state = np.array(x, dtype=float)
@@ -174,6 +194,30 @@ class Controller:
             raise ValueError(f"x has shape {state.shape}, expected ({self.config.vehicle.n_x},)")
         if not np.isfinite(state).all():
             raise ValueError(f"x is not finite: {state}")
-        facing = self.config.helix.at(t, self.config.tower).yaw[0]
-        state[YAW] += 2.0 * np.pi * np.round((facing - state[YAW]) / (2.0 * np.pi))
+        facing = self.config.helix.facing(t, self.config.tower)
+        state[YAW] += math.tau * round((facing - state[YAW]) / math.tau)
         return state
+
+
+def _margin_scale(progress: float) -> float:
+    """Begin and end gently: a margin that grows at once at full rate is a jerk of its own."""
+    return progress * progress * (3.0 - 2.0 * progress)
+
+
+def fastest_iteration(config: ControllerConfig) -> Iteration:
+    """Compile a problem, or interpret it where that cannot be.
+
+    Parameters
+    ----------
+    config : ControllerConfig
+        The problem.
+
+    Returns
+    -------
+    Iteration
+    """
+    try:
+        return CompiledIteration(config)
+    except CompileError as error:
+        warn_interpreted(error)
+        return InterpretedIteration(config)

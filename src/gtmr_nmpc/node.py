@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import cast
+from typing import ClassVar, cast
 
 import numpy as np
 from nav_msgs.msg import Odometry
 from pydantic import Field
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
@@ -33,9 +32,10 @@ from gtmr_msgs_py.diagnostics import Level
 from gtmr_msgs_py.message_error import MessageError
 from gtmr_msgs_py.parameters import ModelParameters
 from gtmr_msgs_py.process import run
+from gtmr_msgs_py.suite_node import SuiteNode
 from gtmr_nmpc.config import MODES, ControllerConfig, Mode
 from gtmr_nmpc.controller import Controller
-from gtmr_nmpc.performance import Performance
+from gtmr_nmpc.performance import Performance, standing
 from gtmr_nmpc.schedule import Due, Schedule
 from gtmr_nmpc.solution import Solution
 
@@ -65,8 +65,13 @@ class NmpcParameters(ControllerConfig):
     """How many recorders, such as the monitor, must listen before the first step."""
 
 
-class NmpcNode(Node):
+class NmpcNode(SuiteNode):
     """Runs a controller step whenever the odometry is T_s further on.
+
+    Parameters
+    ----------
+    managed : bool
+        Whether lifecycle services say when it takes part.
 
     Raises
     ------
@@ -74,15 +79,33 @@ class NmpcNode(Node):
         If a parameter cannot be used.
     """
 
-    def __init__(self) -> None:
-        super().__init__("nmpc")
+    PRESETS: ClassVar = {"vehicle": "paper"}
+    """Parameters that name a preset or a file, with their defaults."""
+    DYNAMIC: ClassVar = {
+        "eps_s_m",
+        "max_stamp_difference_s",
+        "mode",
+        "slack_l1",
+        "slack_l2",
+        "switch_time_s",
+        "tower.min_clearance_m",
+        "uncertainty",
+        "weights",
+    }
+    """Parameters that may change in flight."""
+
+    def __init__(self, managed: bool = False) -> None:
+        super().__init__("nmpc", managed)
         self._settings = ModelParameters(
             self,
             NmpcParameters,
-            presets={"vehicle": "paper"},
-            dynamic={"mode"},
-            on_change=self._reconfigure,
+            self.PRESETS,
+            self.DYNAMIC,
+            on_change=self._change,
         )
+
+    def allocate(self) -> None:
+        """Make the controller, and use it once."""
         config = self._settings.value
         self._controller = Controller(config, config.mode)
         self._warm_up()
@@ -102,6 +125,11 @@ class NmpcNode(Node):
         self._reference = topics.REFERENCE.publisher(self)
         self._markers = topics.MARKERS.publisher(self)
         self._diagnostics = topics.DIAGNOSTICS.publisher(self)
+
+    def connect(self) -> None:
+        """Take states."""
+        config = self._settings.value
+        self._reconfigure(config)
         self.create_timer(
             DIAGNOSTICS_PERIOD_S, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
@@ -123,10 +151,17 @@ class NmpcNode(Node):
         self._controller.mode = config.mode
         self._controller.reset()
 
+    def _change(self, parameters: NmpcParameters) -> None:
+        if self.connected:
+            self._reconfigure(parameters)
+
     def _reconfigure(self, parameters: NmpcParameters) -> None:
         if parameters.mode != self._controller.mode:
             self._controller.mode = parameters.mode
             self.get_logger().info(f"{parameters.mode} mode")
+        self._controller.reconfigure(parameters)
+        # What was prepared is of no use any more; now it costs no time in the next step.
+        self._controller.prepare(stamps.seconds(self._schedule.next_ns))
 
     def _on_odometry(self, msg: Odometry) -> None:
         self._last_odometry = msg
@@ -222,11 +257,11 @@ class NmpcNode(Node):
                 )
             )
         if self._is_time_for(self._markers, stamp_ns, MARKERS_PERIOD_S):
-            margin_m = float((solution.alpha_p + solution.alpha_g).max())
-            mode = self._controller.mode
-            shell = markers.tightened_shell(config.tower, margin_m, mode)
-            plan = markers.plan(solution.x_plan[:, POSITION], mode)
-            self._markers.publish(markers.encode(stamp_ns, shell + plan))
+            mode, planned = self._controller.mode, solution.x_plan[:, POSITION]
+            margins_m = solution.alpha_p + solution.alpha_g
+            shells = markers.tightened_shells(config.tower, margins_m, planned[:, 2], mode)
+            plan = markers.plan(planned, mode)
+            self._markers.publish(markers.encode(stamp_ns, shells + plan))
 
     def _is_time_for(self, publisher: Publisher, stamp_ns: int, period_s: float) -> bool:
         last_ns = self._published_ns.get(publisher)
@@ -236,7 +271,8 @@ class NmpcNode(Node):
         return due
 
     def _diagnose(self) -> None:
-        performance = self._performance
+        performance, config = self._performance, self._settings.value
+        last = performance.last
         level, message = Level.OK, "in time"
         if performance.steps == self._steps_reported:
             level, message = Level.STALE, "no odometry to act upon"
@@ -248,7 +284,7 @@ class NmpcNode(Node):
         self._diagnostics.publish(
             diagnostics.encode(
                 self.get_clock().now().nanoseconds,
-                f"{self.get_name()}: controller",
+                f"{diagnostics.source(self)}: controller",
                 level,
                 message,
                 {
@@ -261,8 +297,9 @@ class NmpcNode(Node):
                     "softened_in_window": performance.count("softened"),
                     "failed_in_window": performance.count("failed"),
                     **performance.percentiles_ms(),
+                    **(standing(last, config.tower, config.vehicle) if last else {}),
                 },
-                hardware_id=self._settings.value.vehicle.name,
+                hardware_id=config.vehicle.name,
             )
         )
 

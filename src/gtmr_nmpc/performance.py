@@ -6,7 +6,53 @@ from collections import Counter, deque
 
 import numpy as np
 
+from gtmr_model import Tower, Vehicle
+from gtmr_model.dynamics import POSITION
+from gtmr_model.uncertainty import CHANNELS
+from gtmr_nmpc.margins import tightened_residual
 from gtmr_nmpc.solution import Solution
+
+ACTIVE_M = 1e-3
+"""A tightened clearance that is met with less than this to spare counts as active [m]."""
+ACTIVE_SHARE = 0.999
+"""An input beyond this share of its limit counts as active [-]."""
+
+
+def standing(solution: Solution, tower: Tower, vehicle: Vehicle) -> dict[str, float | int]:
+    """Say where a plan stands against its constraints.
+
+    Parameters
+    ----------
+    solution : Solution
+        One step.
+    tower : Tower
+        What it keeps away from.
+    vehicle : Vehicle
+        Its limits.
+
+    Returns
+    -------
+    dict
+        How many stages and inputs are at their limits, the largest slack [m]; at the tightest
+        stage, which comes closest to the tightened clearance, its number, what is left [m], and
+        the margins by channel [m].
+    """
+    alpha = solution.alpha_p + solution.alpha_g
+    tightened = tightened_residual(tower, solution.x_plan[:, POSITION], alpha)
+    tightest = int(tightened.argmax())
+    inputs = np.abs(solution.u_plan) / vehicle.max_rotor_acceleration_hz_s
+    terms = zip(CHANNELS, solution.alpha_p_by_channel[tightest], strict=True)
+    return {
+        "active_clearance_stages": int((tightened[1:] > -ACTIVE_M).sum()),
+        "active_inputs": int((inputs > ACTIVE_SHARE).sum()),
+        "slack_m": float(solution.slack.max()),
+        "margin_scale": solution.margin_scale,
+        "tightest_stage": tightest,
+        "tightest_to_spare_m": -float(tightened[tightest]),
+        **{f"tightest_margin_{channel}_m": float(term) for channel, term in terms},
+        "tightest_margin_gust_m": float(solution.alpha_g[tightest]),
+        "tightest_margin_m": float(alpha[tightest]),
+    }
 
 
 class Performance:
@@ -25,6 +71,8 @@ class Performance:
         """How many steps there were since the start."""
         self.deadline_misses = 0
         """How many of them took longer than T_s."""
+        self.last: Solution | None = None
+        """The last step, if there was one."""
         self._deadline_s = sampling_time_s
         self._solve_s: deque[float] = deque(maxlen=window)
         self._feedback_s: deque[float] = deque(maxlen=window)
@@ -47,6 +95,7 @@ class Performance:
         self._feedback_s.append(solution.timing.feedback_s)
         self._latency_s.append(latency_s)
         self._statuses.append(solution.status)
+        self.last = solution
 
     def count(self, status: str) -> int:
         """Count the steps of the window that ended with a status.

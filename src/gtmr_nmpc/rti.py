@@ -91,7 +91,6 @@ class RealTimeIteration:
     """
 
     def __init__(self, config: ControllerConfig) -> None:
-        self.config = config
         n, vehicle = config.horizon, config.vehicle
         self._dynamics = ocp.discrete_dynamics(config)
         self._linearise = Evaluator(_linearisation(config, with_zeta=False), n)
@@ -99,12 +98,25 @@ class RealTimeIteration:
         self._adjoint = Evaluator(
             sensitivity.second_order_adjoint(self._dynamics), n * (n + 1) // 2
         )
-        self._sqrt_q = np.sqrt(ocp.stage_weights(config))
-        self._sqrt_qf = np.sqrt(config.weights.terminal_position)
-        self._gust = margins.gust_margin(config.uncertainty, vehicle, n, config.sampling_time_s)
         ones = np.tril(np.ones((n, n)))
         speed_rows = config.sampling_time_s * np.kron(ones, np.eye(vehicle.n_rotors))
         self._speed_rows = np.asarray(speed_rows, dtype=float)
+        self.reconfigure(config)
+
+    def reconfigure(self, config: ControllerConfig) -> None:
+        """Take over other numbers of the same problem: what is compiled does not depend on them.
+
+        Parameters
+        ----------
+        config : ControllerConfig
+            With the vehicle, horizon and sampling time of the old one.
+        """
+        self.config = config
+        self._sqrt_q = np.sqrt(ocp.stage_weights(config))
+        self._sqrt_qf = np.sqrt(config.weights.terminal_position)
+        self._gust = margins.gust_margin(
+            config.uncertainty, config.vehicle, config.horizon, config.sampling_time_s
+        )
 
     def predict(self, x: Array, u: Array) -> Array:
         """Simulate one stage with the nominal model, eq. (5b).
@@ -154,7 +166,9 @@ class RealTimeIteration:
         _, a, _, _, _, e = self._linearise_with_zeta(iterate.x[:-1], iterate.u)
         return self._margin_gradient(iterate, a, sensitivity.propagate(a, e))
 
-    def prepare(self, t: float, iterate: Trajectory, mode: Mode) -> Preparation:
+    def prepare(
+        self, t: float, iterate: Trajectory, mode: Mode, margin_scale: float = 1.0
+    ) -> Preparation:
         """Linearise and condense along an iterate.
 
         Parameters
@@ -165,6 +179,8 @@ class RealTimeIteration:
             Where to linearise.
         mode : str
             ``nominal`` or ``robust``.
+        margin_scale : float
+            Of the margins in robust mode, 0 to 1.
 
         Returns
         -------
@@ -218,14 +234,15 @@ class RealTimeIteration:
             pi = sensitivity.propagate(a, rest[0])
             pi_y = margins.clearance_sensitivity(iterate.x[:, POSITION], pi)
             tightening = Margins(
-                by_channel=margins.parametric_margin(pi_y, self.config.uncertainty),
-                eps_s=self.config.eps_s_m,
-                gust=self._gust,
+                by_channel=margin_scale * margins.parametric_margin(pi_y, self.config.uncertainty),
+                eps_s=margin_scale * self.config.eps_s_m,
+                gust=margin_scale * self._gust,
             )
             if self.config.tightening == "gradient":
                 d_x, d_u = self._margin_gradient(iterate, a, pi)
-                d_x_flat = d_x.reshape(n + 1, -1)
-                rows += d_x_flat @ dx_du.reshape(-1, n * n_u) + d_u.reshape(n + 1, -1)
+                d_x_flat = margin_scale * d_x.reshape(n + 1, -1)
+                d_u_flat = margin_scale * d_u.reshape(n + 1, -1)
+                rows += d_x_flat @ dx_du.reshape(-1, n * n_u) + d_u_flat
                 rows_dx0 += d_x_flat @ dx_dx0.reshape(-1, n_x)
                 offset += d_x_flat @ defect.ravel()
         else:

@@ -44,6 +44,9 @@ class Solution:
     """Gust margin per stage, eq. (13) [m], shape (N + 1,); zero in nominal mode."""
     slack: NDArray[np.float64]
     """By how much the plan violates the tightened clearance at each stage [m], shape (N + 1,)."""
+    margin_scale: float
+    """How much of the margins was applied, and is in ``alpha_p`` and ``alpha_g``: 0 in nominal
+    mode, 1 in robust mode, in between for a while after a switch."""
     status: str
     """``solved``; ``softened`` if a slack was used; ``failed`` if the QP solver gave up and the
     rest of the last plan is returned."""

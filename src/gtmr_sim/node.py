@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import sys
 import time
+from typing import ClassVar
 
 from pydantic import Field, ValidationInfo, field_validator
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -23,11 +23,13 @@ from gtmr_msgs_py import (
     rotor_states,
     stamps,
     topics,
+    transforms,
 )
 from gtmr_msgs_py.diagnostics import Level
 from gtmr_msgs_py.message_error import MessageError
 from gtmr_msgs_py.parameters import ModelParameters
 from gtmr_msgs_py.process import run
+from gtmr_msgs_py.suite_node import SuiteNode
 from gtmr_sim.scenario import Scenario
 from gtmr_sim.session import Session
 from gtmr_sim.simulation import Simulation
@@ -40,6 +42,8 @@ RESEND_PERIOD_S = 0.1
 """How long a state stays unanswered before it is published again, wall time [s]."""
 DELIVERY_TIMEOUT_S = 2.0
 """How long the end of a flight waits for slow recorders, wall time [s]."""
+PACE_HELD = 0.9
+"""Share of the real-time factor below which the simulator warns that it cannot keep up."""
 WARNING_PERIOD_S = 5.0
 """Least time between two warnings about the same [s]."""
 
@@ -106,8 +110,13 @@ def _require_whole(whole_s: float | None, part_s: float | None, part: str) -> No
         raise ValueError(f"{whole_s:g} s must be a whole number of times {part}, {part_s:g} s")
 
 
-class SimNode(Node):
+class SimNode(SuiteNode):
     """Flies a scenario in real time, or in lockstep with the controller.
+
+    Parameters
+    ----------
+    managed : bool
+        Whether lifecycle services say when it flies.
 
     Raises
     ------
@@ -115,14 +124,30 @@ class SimNode(Node):
         If a parameter cannot be used.
     """
 
-    def __init__(self) -> None:
-        super().__init__("sim")
+    PRESETS: ClassVar = {"vehicle": "paper"}
+    """Parameters that name a preset or a file, with their defaults."""
+    DYNAMIC: ClassVar = {
+        "gust",
+        "real_time_factor",
+        "tower.min_clearance_m",
+        "uncertainty",
+        "zeta",
+    }
+    """Parameters that may change in flight."""
+
+    def __init__(self, managed: bool = False) -> None:
+        super().__init__("sim", managed)
         self._settings = ModelParameters(
             self,
             SimParameters,
-            presets={"vehicle": "paper"},
+            self.PRESETS,
+            self.DYNAMIC,
             settle=SimParameters.settled,
+            on_change=self._reconfigure,
         )
+
+    def allocate(self) -> None:
+        """Make the plant, at the start of the flight."""
         scenario = self._settings.value
         self._session = Session(
             Simulation(scenario, scenario.sampling_time_s),
@@ -138,19 +163,41 @@ class SimNode(Node):
         self._odometry = topics.ODOM.publisher(self)
         self._rotor_states = topics.ROTOR_STATES.publisher(self)
         self._markers = topics.MARKERS.publisher(self)
+        self._transform = None if topics.TF is None else topics.TF.publisher(self)
         self._diagnostics = topics.DIAGNOSTICS.publisher(self)
+
+    def connect(self) -> None:
+        """Take commands, and let time go by."""
+        scenario = self._settings.value
+        self._session.reconfigure(scenario)
         self.create_service(topics.RESET.service, topics.RESET.name, self._reset)
         self.create_service(topics.PAUSE.service, topics.PAUSE.name, self._pause)
         # Simulated time is this node's product: its own timers go by a clock that it cannot stop.
         wall = Clock(clock_type=ClockType.STEADY_TIME)
-        if scenario.real_time_factor > 0.0:
-            self.create_timer(scenario.tick_s / scenario.real_time_factor, self._tick, clock=wall)
+        self._timer = self.create_timer(scenario.tick_s, self._tick, clock=wall)
+        self._set_pace()
         self.create_timer(0.5 * RESEND_PERIOD_S, self._resend, clock=wall)
         self.create_timer(MARKERS_PERIOD_S, self._draw, clock=wall)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose, clock=wall)
         topics.ROTOR_COMMAND.subscription(self, self._on_command, topics.NEWEST)
         zeta = ", ".join(f"{value:.3g}" for value in scenario.zeta)
         self.get_logger().info(f"{scenario.vehicle.name}, zeta = [{zeta}], awaits a controller")
+
+    def _set_pace(self) -> None:
+        scenario = self._settings.value
+        if scenario.real_time_factor > 0.0:
+            period_s = scenario.tick_s / scenario.real_time_factor
+            self._timer.timer_period_ns = stamps.nanoseconds(period_s)
+            self._timer.reset()
+        else:
+            self._timer.cancel()
+
+    def _reconfigure(self, parameters: SimParameters) -> None:
+        if not self.connected:
+            return
+        self._session.reconfigure(parameters)
+        self._set_pace()
+        self._tick_if_unpaced()
 
     def _on_command(self, msg: JointTrajectory) -> None:
         scenario = self._settings.value
@@ -169,7 +216,12 @@ class SimNode(Node):
         if first and taken:
             self._reported = (time.monotonic(), self._session.stamp_ns)
             self.get_logger().info("flying")
-        if taken and scenario.real_time_factor == 0.0:
+        if taken:
+            self._tick_if_unpaced()
+
+    def _tick_if_unpaced(self) -> None:
+        """Without a pace, time goes on as soon as it may."""
+        if self._settings.value.real_time_factor == 0.0:
             self._tick()
 
     def _tick(self) -> None:
@@ -185,6 +237,8 @@ class SimNode(Node):
         self._clock_time.publish(ClockMessage(clock=stamps.encode(stamp_ns)))
         self._odometry.publish(odometry.encode(stamp_ns, x))
         self._rotor_states.publish(rotor_states.encode(stamp_ns, x[ROTORS]))
+        if self._transform is not None:
+            self._transform.publish(transforms.encode(stamp_ns, x))
         self._published_at = time.monotonic()
 
     def _resend(self) -> None:
@@ -219,8 +273,7 @@ class SimNode(Node):
         self._session.paused = bool(request.data)
         response.success, response.message = True, "paused" if request.data else "going on"
         # A command that came while paused is waiting to be played.
-        if not request.data and self._settings.value.real_time_factor == 0.0:
-            self._tick()
+        self._tick_if_unpaced()
         return response
 
     def _draw(self) -> None:
@@ -231,9 +284,10 @@ class SimNode(Node):
         self._markers.publish(markers.encode(self._session.stamp_ns, scene))
 
     def _diagnose(self) -> None:
-        session, now = self._session, time.monotonic()
+        scenario, session, now = self._settings.value, self._session, time.monotonic()
         then, then_ns = self._reported
         self._reported = (now, session.stamp_ns)
+        held = stamps.seconds(session.stamp_ns - then_ns) / (now - then)
         level, message = Level.OK, "flying"
         if not session.started:
             level, message = Level.STALE, "waiting for a controller"
@@ -241,21 +295,27 @@ class SimNode(Node):
             message = "paused"
         elif session.over:
             message = "the flight is over"
-        elif session.command_age_s > 2.0 * self._settings.value.sampling_time_s:
+        elif session.command_age_s > 2.0 * scenario.sampling_time_s:
             level, message = Level.WARN, "no new commands: playing the rest of the last plan"
+        elif 0.0 <= held < PACE_HELD * scenario.real_time_factor:
+            level, message = Level.WARN, "slower than real_time_factor asks for"
         self._diagnostics.publish(
             diagnostics.encode(
-                self.get_clock().now().nanoseconds,
-                f"{self.get_name()}: simulator",
+                # Nobody else knows the time that is made here.
+                session.stamp_ns,
+                f"{diagnostics.source(self)}: simulator",
                 level,
                 message,
                 {
                     "time_s": stamps.seconds(session.stamp_ns),
-                    "real_time_factor": stamps.seconds(session.stamp_ns - then_ns) / (now - then),
+                    "real_time_factor": held,
+                    "real_time_factor_asked": scenario.real_time_factor,
                     "command_age_ms": 1e3 * session.command_age_s,
+                    "plan_step": session.plan_step,
                     "missed_commands": session.missed_commands,
+                    "gust": scenario.gust.kind,
                 },
-                hardware_id=self._settings.value.vehicle.name,
+                hardware_id=scenario.vehicle.name,
             )
         )
 

@@ -2,14 +2,36 @@
 
 from __future__ import annotations
 
+import ctypes
+from collections.abc import Callable
 from functools import lru_cache, partial
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gtmr_model.c_source import c_function
+from gtmr_model.compile import CompileError, load_library, warn_interpreted
 from gtmr_model.dynamics import ROTORS, rk4_step, state_derivative, symbols
 from gtmr_model.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+Integrator = Callable[[Array, Array, Array, Array, int], Array]
+"""Maps x, u, zeta, w_g and a number of steps to the state after them."""
+
+ADVANCE = """
+#include <string.h>
+
+/* memory: x, then what is held. */
+void plant_advance(double *memory, int steps)
+{
+    double next[N_X];
+    for (; steps > 0; --steps) {
+        plant_step(memory, next);
+        memcpy(memory, next, sizeof next);
+    }
+}
+"""
 
 
 class Plant:
@@ -28,10 +50,10 @@ class Plant:
     """
 
     def __init__(self, vehicle: Vehicle, zeta: ArrayLike, x: ArrayLike, step_s: float) -> None:
-        self._integrator = partial(_integrator, vehicle, step_s)
-        self._integrate: dict[int, ca.Function] = {}
-        self._zeta = np.asarray(zeta, dtype=float)
-        self.x: NDArray[np.float64] = np.array(x, dtype=float)
+        self._integrate = _integrator(vehicle, step_s)
+        self.zeta: Array = np.asarray(zeta, dtype=float)
+        """The true mismatch and wind bias from now on, eq. (4), shape (9,)."""
+        self.x: Array = np.array(x, dtype=float)
 
     def advance(self, u: ArrayLike, w_g: ArrayLike, steps: int) -> None:
         """Fly on with input and gust held.
@@ -45,25 +67,62 @@ class Plant:
         steps : int
             Number of integration steps.
         """
-        if steps not in self._integrate:
-            self._integrate[steps] = self._integrator(steps)
-        held = np.asarray(u, dtype=float), self._zeta, np.asarray(w_g, dtype=float)
-        self.x = np.asarray(self._integrate[steps](self.x, *held)).ravel()
+        held = np.asarray(u, dtype=float), self.zeta, np.asarray(w_g, dtype=float)
+        self.x = self._integrate(self.x, *held, steps)
 
 
 @lru_cache(maxsize=64)
-def _integrator(vehicle: Vehicle, step_s: float, steps: int) -> ca.Function:
-    """Compose ``steps`` RK4 steps, with the actuator limits applied in each."""
+def _integrator(vehicle: Vehicle, step_s: float) -> Integrator:
+    step = _plant_step(vehicle, step_s)
+    try:
+        return _compiled(step)
+    except CompileError as error:
+        warn_interpreted(error)
+        return partial(_interpreted, step)
+
+
+def _plant_step(vehicle: Vehicle, step_s: float) -> ca.Function:
+    """One RK4 step with the actuator limits applied: (x, u, zeta, w_g) -> x."""
     x, u, zeta, w_g = symbols(vehicle)
     limit = vehicle.max_rotor_acceleration_hz_s
     feasible = ca.fmin(ca.fmax(u, -limit), limit)
     feasible = ca.fmin(feasible, (vehicle.max_rotor_speed_hz - x[ROTORS]) / step_s)
     feasible = ca.fmax(feasible, (vehicle.min_rotor_speed_hz - x[ROTORS]) / step_s)
     x_next = rk4_step(x, step_s, lambda x: state_derivative(x, feasible, zeta, w_g, vehicle))
-    one = ca.Function(
-        "plant_step", [x, u, zeta, w_g], [x_next], ["x", "u", "zeta", "w_g"], ["x_next"]
-    )
+    return ca.Function("plant_step", [x, u, zeta, w_g], [x_next])
 
-    x0, *held = (ca.MX.sym(name, one.size1_in(i)) for i, name in enumerate(one.name_in()))
-    end = one.fold(steps)(x0, *(ca.repmat(h, 1, steps) for h in held))
-    return ca.Function("plant_advance", [x0, *held], [end])
+
+def _compiled(step: ca.Function) -> Integrator:
+    n_x, n_u = step.size1_in(0), step.size1_in(1)
+    library = load_library(
+        "the plant",
+        {"plant_step.c": f"#include <math.h>\n\n{c_function(step)}\n{ADVANCE}"},
+        # Without fused operations the results are those of CasADi's virtual machine, bit by bit.
+        {"plant_step.c": ("-O2", "-ffp-contract=off", f"-DN_X={n_x}")},
+    )
+    library.plant_advance.restype = None
+    memory = np.zeros(step.nnz_in())
+    address = ctypes.c_void_p(memory.ctypes.data)
+
+    def integrate(x: Array, u: Array, zeta: Array, w_g: Array, steps: int) -> Array:
+        memory[:n_x] = x
+        memory[n_x : n_x + n_u] = u
+        memory[n_x + n_u : -3] = zeta
+        memory[-3:] = w_g
+        library.plant_advance(address, steps)
+        return memory[:n_x].copy()
+
+    return integrate
+
+
+def _interpreted(
+    step: ca.Function, x: Array, u: Array, zeta: Array, w_g: Array, steps: int
+) -> Array:
+    return np.asarray(_folded(step, steps)(x, u, zeta, w_g)).ravel()
+
+
+@lru_cache(maxsize=64)
+def _folded(step: ca.Function, steps: int) -> ca.Function:
+    x, *held = (ca.MX.sym("", step.size1_in(i)) for i in range(step.n_in()))
+    end = step.fold(steps)(x, *(ca.repmat(h, 1, steps) for h in held))
+    return ca.Function("plant_advance", [x, *held], [end])

@@ -43,7 +43,7 @@ class Scenario(YamlModel):
     uncertainty: UncertaintySet = UncertaintySet()
     """Bounds on ``zeta`` and on the gusts."""
     zeta: Annotated[tuple[float, ...], Field(min_length=9, max_length=9)] = (0.0,) * 9
-    """The true mismatch and wind bias, eq. (4)."""
+    """The true mismatch [-] and wind bias [N, world frame], eq. (4)."""
     gust: GustConfig = GustConfig()
     """The gusts."""
     seed: int = Field(0, ge=0)

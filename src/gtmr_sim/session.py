@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gtmr_sim.scenario import Scenario
 from gtmr_sim.simulation import Simulation
 
 NANOSECONDS = 1_000_000_000
@@ -53,6 +54,16 @@ class Session:
         self.missed_commands = 0
         """How many sampling times passed without a command for them."""
 
+    def reconfigure(self, scenario: Scenario) -> None:
+        """Fly on in another scenario.
+
+        Parameters
+        ----------
+        scenario : Scenario
+            Of the same vehicle, helix and time steps.
+        """
+        self._simulation.reconfigure(scenario)
+
     def reset(self) -> None:
         """Go back to the start of the same flight, and wait for its first command."""
         self._simulation.reset()
@@ -92,6 +103,11 @@ class Session:
     def command_age_s(self) -> float:
         """How old the odometry is from which the plan in play was made [s]."""
         return (self.stamp_ns - (self._command_ns or 0)) / NANOSECONDS
+
+    @property
+    def plan_step(self) -> int:
+        """Which input of the plan is being played, 0 while commands come in time."""
+        return self._simulation.plan_index
 
     def command(self, stamp_ns: int, u_plan: ArrayLike) -> bool:
         """Take over a plan, unless it belongs to another flight or comes again.

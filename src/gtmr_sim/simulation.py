@@ -40,6 +40,22 @@ class Simulation:
         self._plan_start = 0
         self._draw_gust()
 
+    def reconfigure(self, scenario: Scenario) -> None:
+        """Go on in another scenario: with another zeta, other gusts, other bounds.
+
+        The next gust sample is the first of the new gusts, which begin with the seed. What the
+        flight began with, such as its vehicle, stays.
+
+        Parameters
+        ----------
+        scenario : Scenario
+            Of the same vehicle, helix and time steps.
+        """
+        old, self.scenario = self.scenario, scenario
+        self.plant.zeta = scenario.zeta_array
+        if (scenario.gust, scenario.uncertainty) != (old.gust, old.uncertainty):
+            self._gust = make_gust(scenario)
+
     @property
     def time_s(self) -> float:
         """Simulated time since the start [s]."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from gtmr_study import cluster
 from gtmr_study.result_files import write_json
 from gtmr_study.study import Study
 from gtmr_study.summary import summarise
-from gtmr_study.trials_file import ResultsError, open_campaign, read_trials
+from gtmr_study.trials_file import ResultsError, open_campaign, read_trials, require_own_or_empty
 
 SUMMARY_FILE = "summary.json"
 
@@ -53,15 +54,22 @@ def fly_campaign(
     ResultsError
         If results cannot be written; finished trials are kept.
     """
-    with open_campaign("--out", folder, study) as file:
+    with ExitStack() as stack:
+        require_own_or_empty("--out", folder, study)
+        client = None
+        if scheduler is not None:
+            # Before anything is written: a wrong address leaves no folder behind.
+            client = stack.enter_context(cluster.remote_workers(scheduler))
+        file = stack.enter_context(open_campaign("--out", folder, study))
         flights = study.flights()
         missing = [flight for flight in flights if flight not in file.done]
-        if missing:
-            with cluster.workers(n_workers, scheduler) as client:
-                for rows in cluster.fly_on(client, study, missing):
-                    file.append(rows)
-                    if on_progress is not None:
-                        on_progress(len(file.done), len(flights))
+        if missing and client is None:
+            client = stack.enter_context(cluster.local_workers(n_workers))
+        if client is not None:
+            for rows in cluster.fly_on(client, study, missing):
+                file.append(rows)
+                if on_progress is not None:
+                    on_progress(len(file.done), len(flights))
         file.sort()
         summary = summarise(read_trials(folder))
         try:
@@ -70,4 +78,4 @@ def fly_campaign(
             raise ResultsError(
                 f"{folder / SUMMARY_FILE}: cannot be written: {error.strerror}"
             ) from None
-        return summary
+    return summary

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -18,6 +20,10 @@ from gtmr_monitor.bag import BagError
 from gtmr_monitor.residual import residual_statistics, solve_statistics
 from gtmr_nmpc import MODES, Controller, ControllerConfig
 from gtmr_sim import GUST_KINDS, GustConfig, Scenario, fly
+from gtmr_study.cli_bench import bench_command
+from gtmr_study.cli_campaign import calibrate_command, campaign_command, reproduce_command
+from gtmr_study.cli_export import export_c_command
+from gtmr_study.cli_replay import play_command, replay_command
 from gtmr_study.result_files import (
     InputError,
     require_empty_folder,
@@ -25,6 +31,9 @@ from gtmr_study.result_files import (
     require_new_file,
     write_json,
 )
+
+if TYPE_CHECKING:
+    from gtmr_study.live import LiveView
 
 BAD_INPUT = 2
 """Exit code of bad input."""
@@ -42,6 +51,14 @@ app = typer.Typer(
 )
 console = Console()
 errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
+
+app.command("bench")(bench_command)
+app.command("export-c")(export_c_command)
+app.command("campaign")(campaign_command)
+app.command("reproduce")(reproduce_command)
+app.command("calibrate")(calibrate_command)
+app.command("replay")(replay_command)
+app.command("play")(play_command)
 
 JsonOption = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")
@@ -148,6 +165,9 @@ def demo_command(
             metavar="DIR", help="Folder of bags and report; new or empty.  [bags/demo-*]"
         ),
     ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="Show the flights on a page in the browser.")
+    ] = False,
     json: JsonOption = None,
 ) -> None:
     """Fly the helix round the tower with three ROS 2 nodes, once a mode; record and report."""
@@ -169,6 +189,7 @@ def demo_command(
     from gtmr_monitor.bag_flight import read_flight
     from gtmr_monitor.report import write_report
 
+    view = _live_view(duration, chosen) if live else None
     console.print(
         "Flying a tilted hexarotor round a tower of 2 m diameter, 0.35 m from its surface, in a "
         "steady wind with gusts. It must not come closer than 0.20 m. Three processes make up a "
@@ -185,7 +206,7 @@ def demo_command(
                 progress.update(task, completed=time_s, description=text)  # noqa: B023
 
             try:
-                bag = fly_in_ros(mode, duration, folder / mode, show)
+                bag = fly_in_ros(mode, duration, folder / mode, show, view)
             except DemoError as error:
                 errors.print(f"gtmr: {error}")
                 raise typer.Exit(1) from None
@@ -207,6 +228,9 @@ def demo_command(
         "(Foxglove, or ros2 bag play)\n"
         "Next:    gtmr fly --help, README.md"
     )
+    if view is not None and console.is_terminal:
+        with contextlib.suppress(EOFError, KeyboardInterrupt):
+            console.input(f"Live view: {view.page.url} until you press Enter ")
 
 
 @app.command("report")
@@ -223,6 +247,17 @@ def report_command(
     require_new_file("--out", out)
     written = write_report([read_flight(path) for path in paths], out)
     console.print("\n".join(str(path) for path in written))
+
+
+def _live_view(duration: float, modes: list[str]) -> LiveView:
+    """Serve the page of the live view, which needs viser."""
+    try:
+        from gtmr_study.live import LiveView
+    except ModuleNotFoundError as error:
+        raise InputError(f"--live needs {error.name}: pip install viser") from None
+    view = LiveView(duration, modes)
+    console.print(f"Live view: {view.page.url} (open it in a browser)")
+    return view
 
 
 def _require_duration(duration: float) -> None:
@@ -249,11 +284,11 @@ def _progress() -> Progress:
 
 def _print_table(results: dict[str, dict[str, Any]]) -> None:
     """Print flights beside each other, one column a mode."""
-    table = Table("", *results)
+    table = Table("", *results, box=SIMPLE_HEAD)
     rows = {
         "least clearance [m]": lambda r: f"{r['min_clearance_m']:.3f}",
         "clearance violated": lambda r: "yes" if r["violated"] else "no",
-        "residual q1, median, q3 [m]": lambda r: ", ".join(
+        "residual quartiles [m]": lambda r: ", ".join(
             f"{r['residual_m'][key]:.3f}" for key in ("q1", "median", "q3")
         ),
         "solve time median, p99 [ms]": lambda r: ", ".join(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 import dask
 from distributed import Client, LocalCluster, as_completed
@@ -27,16 +27,85 @@ LARGEST_CHUNK = 64
 """Flights in a chunk at most."""
 
 Flights = Sequence[tuple[int, Mode]]
+Chunk = TypeVar("Chunk")
+Result = TypeVar("Result")
 
 
 @contextmanager
-def workers(count: int | None = None, scheduler: str | None = None) -> Iterator[Client]:
-    """Connect to Dask workers.
+def local_workers(count: int | None = None) -> Iterator[Client]:
+    """Start Dask workers on this machine.
 
     Parameters
     ----------
     count : int, optional
-        Processes to start on this machine; one per processor if left out.
+        Processes; one per processor if left out.
+
+    Yields
+    ------
+    distributed.Client
+    """
+    _be_quiet()
+    n = count if count is not None else len(os.sched_getaffinity(0))
+    with (
+        LocalCluster(
+            n_workers=n,
+            threads_per_worker=1,
+            # Any free port: several campaigns may run on one machine.
+            dashboard_address=":0",
+            memory_limit=None,
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client
+
+
+@contextmanager
+def remote_workers(scheduler: str) -> Iterator[Client]:
+    """Connect to a running Dask scheduler.
+
+    Parameters
+    ----------
+    scheduler : str
+        Its address.
+
+    Yields
+    ------
+    distributed.Client
+
+    Raises
+    ------
+    InputError
+        If it does not answer, or has no workers.
+    """
+    _be_quiet()
+    try:
+        with dask.config.set({"distributed.comm.timeouts.connect": CONNECT_TIMEOUT_S}):
+            client = Client(scheduler, timeout=CONNECT_TIMEOUT_S)
+    except (OSError, ValueError) as error:
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise InputError(
+            f"--scheduler = {scheduler}: no Dask scheduler answers: {reason}"
+        ) from None
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=WORKERS_TIMEOUT_S)
+        except TimeoutError:
+            raise InputError(
+                f"--scheduler = {scheduler}: has no workers: start some with "
+                f"dask worker {scheduler}"
+            ) from None
+        yield client
+
+
+@contextmanager
+def workers(count: int | None = None, scheduler: str | None = None) -> Iterator[Client]:
+    """Start workers on this machine, or connect to those of a scheduler.
+
+    Parameters
+    ----------
+    count : int, optional
+        Processes on this machine; one per processor if left out.
     scheduler : str, optional
         Address of a running scheduler, instead.
 
@@ -49,23 +118,8 @@ def workers(count: int | None = None, scheduler: str | None = None) -> Iterator[
     InputError
         If the scheduler does not answer, or has no workers.
     """
-    # Dask's own account of a lost connection adds nothing to ours; lost workers are replaced.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    if scheduler is not None:
-        with _connected(scheduler) as client:
-            yield client
-        return
-    n = count if count is not None else len(os.sched_getaffinity(0))
-    with (
-        LocalCluster(
-            n_workers=n,
-            threads_per_worker=1,
-            dashboard_address=None,
-            memory_limit=None,
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster) as client,
-    ):
+    chosen = local_workers(count) if scheduler is None else remote_workers(scheduler)
+    with chosen as client:
         yield client
 
 
@@ -87,20 +141,49 @@ def fly_on(client: Client, study: Study, flights: Flights) -> Iterator[list[Row]
         The rows of one chunk, in the order in which chunks are done.
     """
     chunks = list(chunked(flights, study.duration_s))
-    futures = client.map(lambda chunk: fly_trials(study, chunk), chunks, pure=False)
-    of = {future.key: chunk for future, chunk in zip(futures, chunks, strict=True)}
+    for chunk, rows in run_chunks(client, fly_trials, study, chunks):
+        if isinstance(rows, BaseException):
+            # Flights report their own errors; here the workers themselves gave up.
+            yield [_lost(trial, mode, rows) for trial, mode in chunk]
+        else:
+            yield rows
+
+
+def run_chunks(
+    client: Client,
+    function: Callable[[Study, Chunk], Result],
+    study: Study,
+    chunks: Sequence[Chunk],
+) -> Iterator[tuple[Chunk, Result | BaseException]]:
+    """Run a function of a study and a chunk on workers.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        The workers.
+    function : callable
+        Importable on the workers.
+    study : Study
+        Its first argument.
+    chunks : sequence
+        Its second arguments.
+
+    Yields
+    ------
+    tuple
+        A chunk and its result, or what was raised, in the order in which they are done.
+    """
+    futures = {client.submit(function, study, chunk, pure=False): chunk for chunk in chunks}
+    of = {future.key: chunk for future, chunk in futures.items()}
     done = as_completed(futures)
+    # Only `done` holds on to the results, so that each can be forgotten once it is handed on.
     del futures
     for future in done:
-        if future.status == "finished":
-            yield future.result()
-        else:
-            # Flights report their own errors; here the workers themselves gave up.
-            yield [_lost(trial, mode, future.exception()) for trial, mode in of[future.key]]
-        future.release()
+        result = future.result() if future.status == "finished" else future.exception()
+        yield of[future.key], result
 
 
-def chunked(flights: Flights, duration_s: float) -> Iterable[Flights]:
+def chunked(flights: Flights, duration_s: float) -> Iterator[Flights]:
     """Cut a campaign into the pieces that are handed out.
 
     Parameters
@@ -112,28 +195,15 @@ def chunked(flights: Flights, duration_s: float) -> Iterable[Flights]:
 
     Returns
     -------
-    iterable of sequence of (int, str)
+    iterator of sequence of (int, str)
     """
     size = min(max(1, round(CHUNK_FLIGHT_S / duration_s)), LARGEST_CHUNK)
     return (flights[start : start + size] for start in range(0, len(flights), size))
 
 
-@contextmanager
-def _connected(address: str) -> Iterator[Client]:
-    try:
-        with dask.config.set({"distributed.comm.timeouts.connect": CONNECT_TIMEOUT_S}):
-            client = Client(address, timeout=CONNECT_TIMEOUT_S)
-    except (OSError, ValueError, TimeoutError) as error:
-        reason = str(error).partition("\n")[0] or type(error).__name__
-        raise InputError(f"--scheduler = {address}: no Dask scheduler answers: {reason}") from None
-    with client:
-        try:
-            client.wait_for_workers(1, timeout=WORKERS_TIMEOUT_S)
-        except TimeoutError:
-            raise InputError(
-                f"--scheduler = {address}: has no workers: start some with dask worker {address}"
-            ) from None
-        yield client
+def _be_quiet() -> None:
+    # Lost workers are replaced, and what matters of a lost scheduler is in our own message.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
 
 
 def _lost(trial: int, mode: Mode, error: Any) -> Row:

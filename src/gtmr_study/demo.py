@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import rclpy
 from rclpy.context import Context
@@ -20,6 +21,9 @@ from sensor_msgs.msg import Range
 
 from gtmr_msgs_py import stamps, topics
 from gtmr_msgs_py.environment import ros_environment
+
+if TYPE_CHECKING:
+    from gtmr_study.live import LiveView
 
 WIND_BIAS_N = (0.6, 0.4, 0.0)
 """w_b of Fig. 1, world frame [N]."""
@@ -36,7 +40,13 @@ class DemoError(RuntimeError):
     """A node failed, or the flight does not go on; the message says where its log is."""
 
 
-def fly_in_ros(mode: str, duration_s: float, folder: Path, on_progress: OnProgress) -> Path:
+def fly_in_ros(
+    mode: str,
+    duration_s: float,
+    folder: Path,
+    on_progress: OnProgress,
+    live: LiveView | None = None,
+) -> Path:
     """Fly the helix once, in real time where the machine keeps up, with one process a node.
 
     Parameters
@@ -49,6 +59,8 @@ def fly_in_ros(mode: str, duration_s: float, folder: Path, on_progress: OnProgre
         New or empty; receives the bag and a log of each node.
     on_progress : callable
         Called while flying.
+    live : LiveView, optional
+        Shows the flight.
 
     Returns
     -------
@@ -76,7 +88,7 @@ def fly_in_ros(mode: str, duration_s: float, folder: Path, on_progress: OnProgre
             recorders="1",
             lockstep="true",
         )
-        with _onlooker(domain_id, on_progress) as look:
+        with _onlooker(domain_id, mode, on_progress, live) as look:
             look(sim)
     return bag
 
@@ -155,7 +167,7 @@ class _View:
 
 @contextmanager
 def _onlooker(
-    domain_id: int, on_progress: OnProgress
+    domain_id: int, mode: str, on_progress: OnProgress, live: LiveView | None
 ) -> Iterator[Callable[[list[_NodeProcess]], None]]:
     """Watch a flight until the simulator, the node started last, ends."""
     # The profile is read when the first participant of a process is made.
@@ -168,11 +180,14 @@ def _onlooker(
     view = _View(on_progress)
     topics.CLOCK.subscription(node, view.on_clock)
     topics.CLEARANCE.subscription(node, view.on_clearance)
+    refresh = None if live is None else live.watch(node, mode)
 
     def look(nodes: list[_NodeProcess]) -> None:
         view.changed_at = time.monotonic()
         while nodes[-1].process.poll() is None:
             executor.spin_once(timeout_sec=0.1)
+            if refresh is not None:
+                refresh()
             for each in nodes:
                 each.require_well()
             if time.monotonic() - view.changed_at > STALL_TIMEOUT_S:

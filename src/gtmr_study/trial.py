@@ -85,8 +85,8 @@ def fly_trial(study: Study, trial: int, mode: Mode) -> Row:
         zeta = np.round(scenario.zeta_array, 6).tolist()
         row.update(seed=scenario.seed, **dict(zip(CHANNELS, zeta, strict=True)))
         controller = _controller(study.controller)
-        controller.reset()
         controller.mode = mode
+        controller.reset()
         log = fly(scenario, controller, study.duration_s, study.controller.sampling_time_s)
         row.update(status=FLOWN, **_figures(log, scenario.tower, study.controller.helix.offset_m))
     except Exception as error:

@@ -102,6 +102,47 @@ def read_trials(folder: Path) -> pd.DataFrame:
     return table
 
 
+def require_own_or_empty(option: str, folder: Path, study: Study) -> None:
+    """Check that a folder is new, empty, or holds this very campaign; change nothing.
+
+    Parameters
+    ----------
+    option : str
+        The option that gave the folder, for messages.
+    folder : pathlib.Path
+        Need not exist.
+    study : Study
+        What is to be flown.
+
+    Raises
+    ------
+    InputError
+        If it holds anything else; names what.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{option} = {folder}: is a file, expected a folder")
+    if not folder.is_dir():
+        return
+    if not is_campaign(folder):
+        # A start that was killed may have left this one file.
+        others = [path for path in folder.iterdir() if path.name != STUDY_FILE + ".part"]
+        if others:
+            raise InputError(
+                f"{option} = {folder}: holds {others[0].name} but no campaign; nothing was "
+                "changed: give a new or empty folder"
+            )
+        return
+    theirs, ours = read_study(folder).model_dump(), _description(study)["study"]
+    ours = Study.parse(ours, "study").model_dump()
+    for name in ours:
+        if theirs[name] != ours[name]:
+            there, here = _difference(name, theirs[name], ours[name])
+            raise InputError(
+                f"{option} = {folder}: holds another campaign, with {there} where this one has "
+                f"{here}; nothing was changed: give another folder"
+            )
+
+
 @contextmanager
 def open_campaign(option: str, folder: Path, study: Study) -> Iterator[TrialsFile]:
     """Start a campaign's folder, or take up one that was interrupted.
@@ -128,7 +169,7 @@ def open_campaign(option: str, folder: Path, study: Study) -> Iterator[TrialsFil
     ResultsError
         If the folder cannot be written.
     """
-    _require_own_or_empty(option, folder, study)
+    require_own_or_empty(option, folder, study)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if not is_campaign(folder):
@@ -187,7 +228,7 @@ class TrialsFile:
 
         def key(line: str) -> tuple[int, int]:
             trial, mode, _ = line.split(",", 2)
-            return int(trial), MODES.index(mode)  # type: ignore[arg-type]
+            return int(trial), MODES.index(mode)
 
         part = self.path.with_name(self.path.name + ".part")
         try:
@@ -202,10 +243,11 @@ class TrialsFile:
         whole = content.rfind(b"\n") + 1
         if whole < len(content):
             os.truncate(self.path, whole)
-        header, *rows = csv.reader(content[:whole].decode("utf-8").splitlines()) or [[]]
-        if not header:
+        if not whole:
             self._write(",".join(COLUMNS) + "\n")
-        elif tuple(header) != COLUMNS:
+            return
+        header, *rows = csv.reader(content[:whole].decode("utf-8").splitlines())
+        if tuple(header) != COLUMNS:
             raise InputError(f"{self.path}: does not have the columns of a campaign")
         self.done = {(int(row[0]), row[1]) for row in rows}  # type: ignore[misc]
 
@@ -226,31 +268,6 @@ def _description(study: Study) -> dict[str, Any]:
     # The number of trials as it is flown, be it given or left to the plan.
     named = study.model_copy(update={"trials": study.n_trials})
     return {"format": FORMAT, "study": named.model_dump(mode="json")}
-
-
-def _require_own_or_empty(option: str, folder: Path, study: Study) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{option} = {folder}: is a file, expected a folder")
-    if not folder.is_dir():
-        return
-    if not is_campaign(folder):
-        # A start that was killed may have left this one file.
-        others = [path for path in folder.iterdir() if path.name != STUDY_FILE + ".part"]
-        if others:
-            raise InputError(
-                f"{option} = {folder}: holds {others[0].name} but no campaign; nothing was "
-                "changed: give a new or empty folder"
-            )
-        return
-    theirs, ours = read_study(folder).model_dump(), _description(study)["study"]
-    ours = Study.parse(ours, "study").model_dump()
-    for name in ours:
-        if theirs[name] != ours[name]:
-            there, here = _difference(name, theirs[name], ours[name])
-            raise InputError(
-                f"{option} = {folder}: holds another campaign, with {there} where this one has "
-                f"{here}; nothing was changed: give another folder"
-            )
 
 
 def _difference(name: str, theirs: Any, ours: Any) -> tuple[str, str]:

@@ -38,14 +38,26 @@ static inline void store(double *row, vec a)
     *(vec *)row = a;
 }
 
+/* Halves are added to each other, which is the shortest chain of additions. */
 static inline double sum(vec a)
 {
-    const double *entry = (const double *)&a;
-    double total = entry[0];
-    for (int i = 1; i < VEC; ++i) {
-        total += entry[i];
-    }
-    return total;
+#if VEC == 1
+    return a;
+#else
+    typedef double pair __attribute__((vector_size(16), aligned(8), may_alias));
+    const pair *pairs = (const pair *)&a;
+    pair total = pairs[0];
+#if VEC == 8
+    typedef double four __attribute__((vector_size(32), aligned(8), may_alias));
+    const four *fours = (const four *)&a;
+    const four both = fours[0] + fours[1];
+    pairs = (const pair *)&both;
+    total = pairs[0] + pairs[1];
+#elif VEC == 4
+    total += pairs[1];
+#endif
+    return total[0] + total[1];
+#endif
 }
 
 /* Nearest integer, for |a| < 2^51: adding 1.5 2^52 leaves no bits behind the point. */

@@ -1,0 +1,115 @@
+"""Writes docs/interfaces.md from the code: `.venv/bin/python docs/interfaces.py`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+
+from gtmr_monitor.node import MonitorNode, MonitorParameters
+from gtmr_msgs_py import topics
+from gtmr_msgs_py.parameters import Declaration, declarations
+from gtmr_nmpc.node import NmpcNode, NmpcParameters
+from gtmr_sim.node import SimNode, SimParameters
+
+PAGE = Path(__file__).with_suffix(".md")
+NODES = {
+    "sim": (SimNode, SimParameters),
+    "nmpc": (NmpcNode, NmpcParameters),
+    "monitor": (MonitorNode, MonitorParameters),
+}
+"""Node and parameters by name."""
+INTRODUCTION = """\
+# Topics, services and parameters
+
+Written by `docs/interfaces.py` from the code; a test holds the two together.
+
+Names are relative, so that namespaces and remaps work, unless they start with a slash. Frames
+are `map` (ENU) and `base_link` (FLU).
+"""
+PARAMETERS = """\
+A parameter marked *in flight* may change while the node runs, by `ros2 param set`, its service,
+or several at once by `set_parameters_atomically`: it counts from the next controller or
+simulator step on. All others are read-only after the start. A value that is refused changes
+nothing, and the answer says why. Files of parameters for all nodes are in `config/ros`; every
+node also has what every ROS 2 node has, such as `use_sim_time`.
+
+After a switch of `mode` the margins come or go over `switch_time_s`, so that the commands make
+no jump. `tower.min_clearance_m` is known to each node by itself: set it in all three.
+"""
+
+
+def page() -> str:
+    """Return the whole page, in Markdown."""
+    parts = [INTRODUCTION, "## Topics\n", _topics(), "## Services\n", _services()]
+    parts += ["## Parameters\n", PARAMETERS]
+    for name, (node, model) in NODES.items():
+        parts += [
+            f"### `{name}`\n",
+            _parameters(declarations(model(), node.PRESETS, node.DYNAMIC)),
+        ]
+    return "\n".join(parts)
+
+
+def _topics() -> str:
+    # What stands in the page must not depend on the machine: tf2_msgs may be missing.
+    rows = [
+        (
+            f"`{t.name}`",
+            t.type_name,
+            ", ".join(t.publishers),
+            ", ".join(t.subscribers),
+            t.content,
+        )
+        for t in topics.TOPICS
+        if t.name != "tf"
+    ]
+    heads = ("topic", "type", "published by", "needed by", "content")
+    absent = (
+        "\n`tf` (tf2_msgs/msg/TFMessage, by sim) is published where `tf2_msgs` is installed.\n"
+    )
+    return _table(heads, rows) + absent
+
+
+def _services() -> str:
+    rows = [(f"`{s.name}`", s.type_name, s.server, s.content) for s in topics.SERVICES]
+    return _table(("service", "type", "served by", "effect"), rows)
+
+
+def _parameters(declared: Iterable[Declaration]) -> str:
+    rows = [
+        (
+            f"`{d.name}`",
+            "" if d.descriptor.read_only else "in flight",
+            f"`{_text(d.value)}`",
+            _range(d),
+            d.descriptor.description,
+        )
+        for d in declared
+    ]
+    return _table(("parameter", "changes", "default", "allowed", "meaning and unit"), rows)
+
+
+def _range(declared: Declaration) -> str:
+    limits = [*declared.descriptor.floating_point_range, *declared.descriptor.integer_range]
+    if declared.descriptor.additional_constraints or not limits:
+        return str(declared.descriptor.additional_constraints)
+    low, high = limits[0].from_value, limits[0].to_value
+    return f"{low:g} to {high:g}" if math.isfinite(high) else f"at least {low:g}"
+
+
+def _text(value: object) -> str:
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_text, value)) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value!r}" if not isinstance(value, str) else f'"{value}"'
+
+
+def _table(heads: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
+    lines = [heads, tuple("---" for _ in heads), *rows]
+    return "".join("| " + " | ".join(c.replace("|", "\\|") for c in row) + " |\n" for row in lines)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")

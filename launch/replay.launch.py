@@ -1,0 +1,49 @@
+"""A recorded flight for controller and monitor: `ros2 launch gtmr replay.launch.py bag:=...`.
+
+The controller answers the recorded odometry; what it commands moves nothing.
+"""
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import ExecuteProcess, OpaqueFunction, Shutdown
+from launch_ros.actions import Node
+
+from gtmr_msgs_py import launching
+from gtmr_msgs_py.launching import Argument
+
+START_TIMEOUT_S = 60
+"""How long the playback waits for the nodes to listen [s]."""
+ARGUMENTS = {
+    "bag": Argument("Bag to play"),
+    "rate": Argument("How many times as fast as it was recorded", "1.0", kind=float),
+    "loop": Argument("Whether to begin again at the end", "false", kind=bool),
+    "record": Argument("New folder to record into; empty for no recording"),
+    "mode": launching.MODE,
+    "vehicle": Argument("Name of a preset, or path of a .yaml file", parameter_of=("nmpc",)),
+    **{name: launching.COMMON[name] for name in ("params_file", "rviz", "foxglove")},
+}
+"""The launch arguments, by name."""
+
+
+def generate_launch_description() -> LaunchDescription:
+    return LaunchDescription([*launching.declare(ARGUMENTS), OpaqueFunction(function=processes)])
+
+
+def processes(context: LaunchContext) -> list[Node | ExecuteProcess]:
+    """Start the nodes, and the playback that ends them when it is over."""
+    given = launching.values(ARGUMENTS, context.launch_configurations)
+    if "bag" not in given:
+        raise ValueError("bag:= is missing: give the bag to play")
+    in_flight_time = {"use_sim_time": True}
+    play = ["play", given["bag"], "--rate", str(given["rate"]), "--wait", str(START_TIMEOUT_S)]
+    play += ["--loop"] if given["loop"] else []
+    return [
+        launching.node("nmpc", ARGUMENTS, given, in_flight_time),
+        launching.node(
+            "monitor", ARGUMENTS, given, {"bag": given.get("record", "")} | in_flight_time
+        ),
+        # As scripts/ find Python: `gtmr` itself is on no path under colcon.
+        ExecuteProcess(
+            cmd=["python3", "-m", "gtmr_study.cli", *play], output="screen", on_exit=Shutdown()
+        ),
+        *launching.views(given),
+    ]

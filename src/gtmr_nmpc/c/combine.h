@@ -1,0 +1,101 @@
+/* Linear combinations of rows, out[r] += sum_k coefficient(r, k) in[k], held in registers. */
+#ifndef GTMR_COMBINE_H
+#define GTMR_COMBINE_H
+
+#include "vec.h"
+
+#if defined(__GNUC__)
+#define UNROLLED static inline __attribute__((always_inline))
+#else
+#define UNROLLED static inline
+#endif
+
+enum { TILE_ROWS = 4, TILE_VECS = 3 };
+
+/* Where the coefficients are: that of row r and term k at at[r * row + k * term]. */
+typedef struct {
+    const double *at;
+    ptrdiff_t row;
+    ptrdiff_t term;
+} coefficients;
+
+UNROLLED void combine_tile(int rows, int vecs, int terms, coefficients by, const double *in,
+                           ptrdiff_t ld_in, double *out, ptrdiff_t ld_out)
+{
+    vec total[TILE_ROWS][TILE_VECS];
+    for (int r = 0; r < rows; ++r) {
+        for (int c = 0; c < vecs; ++c) {
+            total[r][c] = load(out + r * ld_out + c * VEC);
+        }
+    }
+    for (int k = 0; k < terms; ++k) {
+        vec term[TILE_VECS];
+        for (int c = 0; c < vecs; ++c) {
+            term[c] = load(in + k * ld_in + c * VEC);
+        }
+        for (int r = 0; r < rows; ++r) {
+            const double factor = by.at[r * by.row + k * by.term];
+            for (int c = 0; c < vecs; ++c) {
+                total[r][c] += factor * term[c];
+            }
+        }
+    }
+    for (int r = 0; r < rows; ++r) {
+        for (int c = 0; c < vecs; ++c) {
+            store(out + r * ld_out + c * VEC, total[r][c]);
+        }
+    }
+}
+
+UNROLLED void combine_rows(int rows, int columns, int terms, coefficients by, const double *in,
+                           ptrdiff_t ld_in, double *out, ptrdiff_t ld_out)
+{
+    int c = 0;
+    for (; c + TILE_VECS * VEC <= columns; c += TILE_VECS * VEC) {
+        combine_tile(rows, TILE_VECS, terms, by, in + c, ld_in, out + c, ld_out);
+    }
+    for (; c < columns; c += VEC) {
+        combine_tile(rows, 1, terms, by, in + c, ld_in, out + c, ld_out);
+    }
+}
+
+/* columns: padded to whole registers. */
+static inline void combine(int rows, int columns, int terms, coefficients by, const double *in,
+                           ptrdiff_t ld_in, double *out, ptrdiff_t ld_out)
+{
+    int r = 0;
+    for (; r + TILE_ROWS <= rows; r += TILE_ROWS) {
+        combine_rows(TILE_ROWS, columns, terms, by, in, ld_in, out, ld_out);
+        by.at += TILE_ROWS * by.row;
+        out += TILE_ROWS * ld_out;
+    }
+    for (; r < rows; ++r) {
+        combine_rows(1, columns, terms, by, in, ld_in, out, ld_out);
+        by.at += by.row;
+        out += ld_out;
+    }
+}
+
+/* length: padded to whole registers. */
+static inline double dot(const double *a, const double *b, int length)
+{
+    vec even = vec_of(0.0), odd = vec_of(0.0);
+    int i = 0;
+    for (; i + 2 * VEC <= length; i += 2 * VEC) {
+        even += load(a + i) * load(b + i);
+        odd += load(a + i + VEC) * load(b + i + VEC);
+    }
+    if (i < length) {
+        even += load(a + i) * load(b + i);
+    }
+    return sum(even + odd);
+}
+
+static inline void add_scaled(double *out, double factor, const double *in, int length)
+{
+    for (int i = 0; i < length; i += VEC) {
+        store(out + i, load(out + i) + factor * load(in + i));
+    }
+}
+
+#endif

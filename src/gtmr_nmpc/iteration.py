@@ -1,0 +1,97 @@
+"""What a controller needs of a real-time iteration that keeps its iterate to itself."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gtmr_nmpc.config import ControllerConfig
+
+Array = NDArray[np.float64]
+
+SLACK_TOLERANCE_M = 1e-9
+"""Slack below this is rounding of the QP solver, not a violation [m]."""
+
+
+class Plan(NamedTuple):
+    """What one iteration gives; the fields are those of `Solution`."""
+
+    x_plan: Array
+    """Predicted states, shape (N + 1, 12 + N_p)."""
+    u_plan: Array
+    """Planned rotor accelerations [Hz/s], shape (N, N_p)."""
+    alpha_p_by_channel: Array
+    """Terms of alpha_p without eps_s [m], shape (N + 1, 9)."""
+    alpha_p: Array
+    """Parametric margin per stage [m], shape (N + 1,)."""
+    alpha_g: Array
+    """Gust margin per stage [m], shape (N + 1,)."""
+    slack: Array
+    """Violation of the tightened clearance per stage [m], shape (N + 1,)."""
+    eps_s: float
+    """The constant term of alpha_p [m]."""
+    status: str
+    """``solved``, ``softened`` or ``failed``."""
+
+
+class Iteration(Protocol):
+    """Gauss-Newton iterations of one problem, from a warm or a cold start."""
+
+    def reconfigure(self, config: ControllerConfig) -> None:
+        """Take over other numbers of the same problem.
+
+        Parameters
+        ----------
+        config : ControllerConfig
+            With the vehicle, horizon and sampling time of the old one.
+        """
+        ...
+
+    def cold(self, x: Array) -> None:
+        """Make the iterate by holding a state for the whole horizon.
+
+        Parameters
+        ----------
+        x : NDArray, shape (12 + N_p,)
+            The state.
+        """
+        ...
+
+    def warm(self, steps: int) -> None:
+        """Make the iterate from the last plan, the rotors holding their speeds past its end.
+
+        Parameters
+        ----------
+        steps : int
+            By how many sampling times to move on, 0 to N - 1.
+        """
+        ...
+
+    def prepare(self, t: float, margin_scale: float) -> None:
+        """Do all of the iteration that needs no measurement.
+
+        Parameters
+        ----------
+        t : float
+            Time of stage 0 [s].
+        margin_scale : float
+            Of the margins: 1 in robust mode, 0 in nominal mode, in between after a switch.
+        """
+        ...
+
+    def feedback(self, x: Array) -> Plan:
+        """Solve the QP for a measured state and take the full step.
+
+        Parameters
+        ----------
+        x : NDArray, shape (12 + N_p,)
+            State at the time that was prepared for; its yaw within pi of the iterate's.
+
+        Returns
+        -------
+        Plan
+            Its arrays belong to the caller.
+        """
+        ...

@@ -1,0 +1,80 @@
+"""The command ``gtmr bench``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Column, Table
+from rich.text import Text
+
+from gtmr_study.bench import (
+    CONTROLLERS,
+    machine,
+    record_situations,
+    time_controller,
+    time_rivals,
+)
+from gtmr_study.result_files import require_folder_of, write_json
+
+console = Console()
+COLUMNS = ("median", "p99", "p99.9", "max")
+
+
+def bench_command(
+    steps: Annotated[
+        int, typer.Option(metavar="N", min=100, help="Steps of the controller a situation.")
+    ] = 4000,
+    rival_steps: Annotated[
+        int,
+        typer.Option(metavar="N", min=0, help="Steps of general solvers a situation; 0: none."),
+    ] = 40,
+    json: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")
+    ] = None,
+) -> None:
+    """Time a controller step, and what a user would pick instead, on the same states."""
+    require_folder_of("--json", json)
+    result: dict[str, Any] = {"machine": machine(), "steps": steps, "controller": {}, "rivals": {}}
+    situations = record_situations(steps)
+    table = _table("step, called from Python [ms]", *COLUMNS, "prepare", "feedback", "ratio")
+    for situation in situations:
+        figures = {name: time_controller(situation, m, t) for name, m, t in CONTROLLERS}
+        result["controller"][situation.name] = figures
+        nominal = figures["nominal"]["step"]["median"]
+        for name, phases in figures.items():
+            table.add_row(
+                Text(f"{situation.name}: {name}"),
+                *(f"{phases['step'][column]:.3f}" for column in COLUMNS),
+                f"{phases['prepare']['median']:.3f}",
+                f"{phases['feedback']['median']:.3f}",
+                f"{phases['step']['median'] / nominal:.2f}",
+            )
+    console.print(result["machine"])
+    console.print(table)
+    if rival_steps:
+        rivals = _table("nominal step [ms]", "median", "max", "ratio", "cost gap")
+        for situation in situations:
+            rival_figures = time_rivals(situation, rival_steps)
+            result["rivals"][situation.name] = rival_figures
+            for name, figure in rival_figures.items():
+                rivals.add_row(
+                    Text(f"{situation.name}: {name}"),
+                    f"{figure['median']:.3f}",
+                    f"{figure['max']:.3f}",
+                    f"{figure['ratio']:.0f}",
+                    f"{figure['cost_gap']:.1e}",
+                )
+        console.print(rivals)
+    write_json(json, result)
+
+
+def _table(first: str, *columns: str) -> Table:
+    table = Table(Column(escape(first)), box=SIMPLE_HEAD)
+    for column in columns:
+        table.add_column(column, justify="right")
+    return table

@@ -1,0 +1,290 @@
+"""Commands of the Monte-Carlo studies: ``gtmr campaign``, ``reproduce``, ``calibrate``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+from rich.text import Text
+
+from gtmr_sim import GUST_KINDS
+from gtmr_study.plans import PLAN_KINDS
+from gtmr_study.result_files import InputError, require_folder_of, write_json
+from gtmr_study.study import Study
+
+console = Console()
+errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
+
+OutOption = Annotated[
+    Path,
+    typer.Option(
+        metavar="DIR", help="Folder of results: new, empty, or of the same campaign to go on with."
+    ),
+]
+WorkersOption = Annotated[
+    int | None,
+    typer.Option(metavar="W", min=1, help="Processes on this machine.  [one per processor]"),
+]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="A running Dask scheduler, as tcp://host:8786."),
+]
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Write the summary as JSON.")
+]
+
+
+def campaign_command(
+    out: OutOption,
+    trials: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Trials.  [500, or every point of the plan once]"),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(metavar="K", help="Seed.  [0]")] = None,
+    modes: Annotated[
+        str | None, typer.Option(metavar="MODE,...", help="Which modes fly.  [nominal,robust]")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", help="Length of a flight [s].  [50]")
+    ] = None,
+    plan: Annotated[
+        str | None, typer.Option(metavar="|".join(PLAN_KINDS), help="Mismatches.  [random]")
+    ] = None,
+    channels: Annotated[
+        str | None,
+        typer.Option(metavar="A,B", help="Channels that a grid or one-at-a-time varies."),
+    ] = None,
+    levels: Annotated[
+        int | None, typer.Option(metavar="L", help="Values of a varied channel.  [5]")
+    ] = None,
+    gust: Annotated[
+        str | None, typer.Option(metavar="|".join(GUST_KINDS), help="Gusts.  [ou]")
+    ] = None,
+    controller: Annotated[
+        str | None,
+        typer.Option(metavar="NAME|YAML", help="Preset or file under config/controller."),
+    ] = None,
+    scenario: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|YAML",
+            help="The study as a file, or a preset under config/scenario; options win over it.",
+        ),
+    ] = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Fly a Monte-Carlo campaign on Dask; killed and started again, it goes on."""
+    _require_one(workers, scheduler)
+    require_folder_of("--json", json)
+    study = Study() if scenario is None else Study.load("scenario", scenario)
+    study = with_options(
+        study,
+        trials=trials,
+        seed=seed,
+        modes=None if modes is None else modes.split(","),
+        duration_s=duration,
+        controller=controller,
+        plan=_changes(
+            kind=plan,
+            channels=None if channels is None else channels.split(","),
+            levels=levels,
+        ),
+        gust=_changes(kind=gust),
+    )
+    from gtmr_study.campaign import fly_campaign
+    from gtmr_study.campaign_figures import write_figures
+
+    with _reported_progress() as show:
+        summary = fly_campaign(study, out, workers, scheduler, partial(show, "flights"))
+        write_figures(out)
+    write_json(json, summary)
+    print_summary(summary)
+    console.print(f"Results: {out}\nReport:  gtmr report {out}")
+
+
+def reproduce_command(
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of results: new, empty, or of the same reproduction to go on with.",
+        ),
+    ] = Path("reproduction"),
+    quick: Annotated[
+        bool, typer.Option("--quick", help="24 trials instead of 500: about a minute.")
+    ] = False,
+    seed: Annotated[int | None, typer.Option(metavar="K", help="Seed.  [0]")] = None,
+    scenario: Annotated[
+        str,
+        typer.Option(metavar="NAME|YAML", help="Preset or file under config/scenario."),
+    ] = "paper",
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Reproduce the paper: 500 trials a mode, Table II, Fig. 1 and Fig. 2, and a report."""
+    _require_one(workers, scheduler)
+    require_folder_of("--json", json)
+    from gtmr_study.reproduce import FULL, QUICK, REPORT_FILE, reproduce
+
+    study = with_options(Study.load("scenario", scenario), seed=seed)
+    with _reported_progress() as show:
+        results = reproduce(study, QUICK if quick else FULL, out, workers, scheduler, show)
+    write_json(json, results)
+    print_summary(results["summary"])
+    near = results["distance"]
+    console.print(
+        f"Distance to the paper's rows, in tolerances: nominal {near['nominal']:.2f}, "
+        f"both {near['both']:.2f}\nReport:  {out / REPORT_FILE} (open it in a browser)"
+    )
+
+
+def calibrate_command(
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Keeps the search; one that is there goes on.")
+    ],
+    target: Annotated[
+        str, typer.Option(metavar="nominal|both", help="Which rows of the paper to come close to.")
+    ] = "nominal",
+    evaluations: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Evaluations in all.")
+    ] = 100,
+    trials: Annotated[int, typer.Option(metavar="N", min=1, help="Trials of an evaluation.")] = 50,
+    duration: Annotated[float, typer.Option(metavar="S", help="Length of a flight [s].")] = 50.0,
+    seed: Annotated[int, typer.Option(metavar="K", help="Seed of trials and search.")] = 0,
+    workers: WorkersOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Search what the paper leaves out for what comes closest to its results."""
+    require_folder_of("--json", json)
+    try:
+        from gtmr_study.calibration import TARGETS, calibrate
+    except ModuleNotFoundError as error:
+        raise InputError(f"the search needs {error.name}: pip install {error.name}") from None
+    if target not in TARGETS:
+        raise InputError(f"--target = {target!r}: allowed is {', '.join(TARGETS)}")
+    study = with_options(Study(), trials=trials, seed=seed, duration_s=duration)
+    with _reported_progress() as show:
+        result = calibrate(
+            study,
+            target,
+            evaluations,
+            out,
+            workers,
+            lambda done, least: show(f"least distance {least:.2f}", done, evaluations),
+        )
+    write_json(json, result)
+    for name, value in result["parameters"].items():
+        console.print(f"{name}: {value:.4g}")
+    console.print(f"Distance after {result['evaluations']}: {result['distance']:.3f}")
+
+
+def with_options(study: Study, **changes: Any) -> Study:
+    """Lay what the command line says over a study.
+
+    Parameters
+    ----------
+    study : Study
+        From a file, or the default.
+    **changes
+        Fields; None keeps what the study says, and so does what a dict leaves out.
+
+    Returns
+    -------
+    Study
+
+    Raises
+    ------
+    ConfigError
+        If a value is not allowed.
+    """
+    data = study.model_dump()
+    for name, value in changes.items():
+        if isinstance(value, dict):
+            data[name] = data[name] | value
+        elif value is not None:
+            data[name] = value
+    return Study.parse(data, "campaign")
+
+
+def print_summary(summary: dict[str, Any]) -> None:
+    """Print the figures of a campaign, one column a mode.
+
+    Parameters
+    ----------
+    summary : dict
+        See `summarise`.
+    """
+    flown = {mode: s for mode, s in summary.items() if s["trials"]}
+    table = Table("", *flown)
+    rows = {
+        "trials with violation": lambda s: f"{s['violations']}/{s['trials']}",
+        "least clearance [m]": lambda s: f"{s['min_clearance_m']:.3f}",
+        "median clearance [m]": lambda s: f"{s['median_clearance_m']:.3f}",
+        "residual q1, median, q3 [m]": lambda s: ", ".join(
+            f"{s['residual_m'][key]:.3f}" for key in ("q1", "median", "q3")
+        ),
+        "residual min, max [m]": lambda s: ", ".join(
+            f"{s['residual_m'][key]:.3f}" for key in ("min", "max")
+        ),
+        "solve time mean, p99 [ms]": lambda s: ", ".join(
+            f"{s['solve_ms'][key]:.2f}" for key in ("mean", "p99")
+        ),
+    }
+    for name, cell in rows.items():
+        table.add_row(Text(name), *(cell(s) for s in flown.values()))
+    console.print(table)
+    for mode, s in summary.items():
+        if s["errors"]:
+            errors.print(f"gtmr: {mode}: {s['errors']} trials raised; their rows say why")
+
+
+def _changes(**fields: Any) -> dict[str, Any]:
+    return {name: value for name, value in fields.items() if value is not None}
+
+
+def _require_one(workers: int | None, scheduler: str | None) -> None:
+    if workers is not None and scheduler is not None:
+        raise InputError("--workers and --scheduler: give one of them")
+
+
+@contextmanager
+def _reported_progress() -> Iterator[Callable[[str, int, int], None]]:
+    """Show one progress bar for each thing done; a full disk ends the command with code 1."""
+    bars: dict[str, TaskID] = {}
+    try:
+        with Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        ) as progress:
+
+            def show(what: str, done: int, total: int) -> None:
+                if what not in bars:
+                    bars[what] = progress.add_task(what)
+                progress.update(bars[what], completed=done, total=total)
+
+            yield show
+    except OSError as error:
+        errors.print(f"gtmr: {error}; finished trials are kept: the same command goes on")
+        raise typer.Exit(1) from None

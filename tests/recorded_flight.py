@@ -1,0 +1,48 @@
+"""Flights of real nodes that the real monitor recorded, each flown once in a test run."""
+
+from __future__ import annotations
+
+import tempfile
+from functools import cache
+from pathlib import Path
+
+from ros_graph import RosGraph
+
+from gtmr_msgs_py import odometry, stamps, topics
+from gtmr_nmpc import Controller
+from gtmr_sim import Scenario, fly
+
+FOLDER = tempfile.TemporaryDirectory(prefix="gtmr_test_bags_")
+DURATION_S = 1.5
+
+
+@cache
+def recorded(name: str, mode: str = "robust", real_time: bool = False, switch: str = "") -> Path:
+    """Fly, record, and give the bag; with a switch of mode half a second into the flight."""
+    bag = Path(tempfile.mkdtemp(dir=FOLDER.name)) / name
+    # What is compiled once for a machine must not be so in flight.
+    fly(Scenario(), Controller(), 0.05)
+    with RosGraph() as graph:
+        graph.listen([topics.ODOM])
+        monitor = graph.start("gtmr_monitor.node", bag=str(bag))
+        graph.start("gtmr_nmpc.node", mode=mode, recorders="1")
+        sim = graph.start(
+            "gtmr_sim.node",
+            lockstep=str(not real_time).lower(),
+            seed="5",
+            sample_zeta="true",
+            duration_s=str(DURATION_S),
+            recorders="1",
+        )
+
+        def flown_s():
+            received = graph.received["odom"]
+            return stamps.seconds(odometry.decode(received[-1])[0]) if received else 0.0
+
+        if switch:
+            graph.wait_until(lambda: flown_s() > 0.5)
+            assert graph.set_parameter("nmpc", "mode", switch).successful
+        graph.wait_until(lambda: sim.process.poll() is not None)
+        assert sim.process.returncode == 0, sim.output
+        assert monitor.interrupt() == 0, monitor.output
+    return bag
