@@ -37,7 +37,7 @@ bench: setup
 # Keeps every pin that setup.py still allows; delete requirements.txt first to upgrade them all.
 lock: setup
 	$(BIN)/pip install $(QUIET) uv
-	$(BIN)/uv --no-config pip compile setup.py --extra ros --extra test --extra dev \
+	$(BIN)/uv --no-config pip compile setup.py --extra ros --extra live --extra calibrate --extra test --extra dev \
 	  --universal --python-version 3.10 --default-index https://pypi.org/simple \
 	  --custom-compile-command 'make lock' --quiet --output-file requirements.txt
 
@@ -60,8 +60,10 @@ $(STAMP): requirements.txt setup.py pyproject.toml package.xml scripts
 	$(BIN)/pip install $(QUIET) --no-deps --no-compile -r $(VENV)/requirements.txt
 	$(BIN)/pip install $(QUIET) --no-deps --no-build-isolation --editable .
 # An editable install has no data files; links keep these live as well.
-	mkdir -p $(VENV)/lib/gtmr $(VENV)/share/gtmr $(VENV)/share/ament_index/resource_index/packages
+	mkdir -p $(VENV)/lib/gtmr $(VENV)/share/gtmr/launch $(VENV)/share/ament_index/resource_index/packages
 	ln -sf $(CURDIR)/scripts/* $(VENV)/lib/gtmr
 	ln -sf $(CURDIR)/resource/gtmr $(VENV)/share/ament_index/resource_index/packages
-	ln -sfn $(wildcard $(addprefix $(CURDIR)/,package.xml config launch rviz)) $(VENV)/share/gtmr
+	ln -sfn $(addprefix $(CURDIR)/,package.xml config rviz) $(VENV)/share/gtmr
+# One by one: ros2 launch looks for its files without following a link to their folder.
+	ln -sf $(CURDIR)/launch/*.launch.py $(VENV)/share/gtmr/launch
 	@touch $@

@@ -61,6 +61,8 @@ setup(
     extras_require={
         # Apart from the rest, because beside an installed ROS 2 it would shadow its rclpy.
         "ros": ["ros-common-interfaces==5.3.6", "ros-rclpy[fastrtps]==7.1.6"],
+        "live": ["viser"],
+        "calibrate": ["optuna"],
         "test": ["hypothesis", "pytest"],
         "dev": [
             "colcon-package-information",

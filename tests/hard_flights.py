@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ class Situation:
     """Many short flights of one kind, each from another start."""
 
     mode: Mode
-    config: ControllerConfig = ControllerConfig()
+    config: ControllerConfig = field(default_factory=ControllerConfig)
     radial_m: tuple[float, float] = (0.0, 0.0)
     """Range of the start's offset from the helix, outward [m]."""
     radial_m_s: tuple[float, float] = (0.0, 0.0)
@@ -41,9 +41,13 @@ class Situation:
     rotor_hz: float = 0.0
     """Most deviation of a rotor's speed from hover [Hz]."""
     at_rest: bool = False
+    """Whether the vehicle starts without any speed."""
     gust: str = "ou"
+    """Kind of gust."""
     steps: int = 40
     """Length of a flight."""
+    active: tuple[str, ...] = ()
+    """Which inequalities the flights are about: inputs, speeds, clearances, slacks."""
 
     def fly(self, step: Step, seed: int) -> Iterator[tuple[float, Array, Solution]]:
         """Fly once, step by step; gives time, state and solution of each."""
@@ -78,12 +82,16 @@ GRADIENT = ControllerConfig(tightening="gradient")
 CLOSE = {"radial_m": (-0.12, -0.02), "radial_m_s": (-0.5, 0.0), "gust": "worst-case"}
 """Starts at speed towards the tower that still can stop in time, most of them."""
 SITUATIONS = {
-    "calm": Situation("nominal", steps=200),
-    "clearance, nominal": Situation("nominal", **CLOSE),
-    "clearance, frozen": Situation("robust", **CLOSE),
-    "clearance, gradient": Situation("robust", GRADIENT, **CLOSE),
+    "calm": Situation("nominal"),
+    "clearance, nominal": Situation("nominal", **CLOSE, active=("clearances",)),
+    "clearance, frozen": Situation("robust", **CLOSE, active=("clearances",)),
+    "clearance, gradient": Situation("robust", GRADIENT, **CLOSE, active=("clearances",)),
     "rotors at limits": Situation(
-        "nominal", ControllerConfig(vehicle=WEAK), speed_m_s=0.3, rotor_hz=3.0, steps=80
+        "nominal",
+        ControllerConfig(vehicle=WEAK),
+        speed_m_s=0.3,
+        rotor_hz=3.0,
+        active=("inputs", "speeds"),
     ),
     "rotors beyond limits and clearance": Situation(
         "robust",
@@ -91,11 +99,21 @@ SITUATIONS = {
         radial_m=(-0.15, 0.05),
         speed_m_s=0.3,
         rotor_hz=10.0,
+        active=("inputs", "speeds", "clearances", "slacks"),
     ),
     "infeasible start": Situation(
-        "robust", radial_m=(-0.25, -0.15), radial_m_s=(-0.6, -0.2), steps=20
+        "robust",
+        radial_m=(-0.25, -0.15),
+        radial_m_s=(-0.6, -0.2),
+        steps=20,
+        active=("inputs", "clearances", "slacks"),
     ),
     "at rest in the forbidden zone": Situation(
-        "robust", GRADIENT, radial_m=(-0.33, -0.16), at_rest=True, steps=20
+        "robust",
+        GRADIENT,
+        radial_m=(-0.33, -0.16),
+        at_rest=True,
+        steps=20,
+        active=("inputs", "clearances", "slacks"),
     ),
 }

@@ -18,7 +18,7 @@ DURATION_S = 1.5
 
 @cache
 def recorded(name: str, mode: str = "robust", real_time: bool = False, switch: str = "") -> Path:
-    """Fly, record, and give the bag; with a switch of mode half a second into the flight."""
+    """Fly, record, and give the bag; a switch of the mode in flight comes with another weight."""
     bag = Path(tempfile.mkdtemp(dir=FOLDER.name)) / name
     # What is compiled once for a machine must not be so in flight.
     fly(Scenario(), Controller(), 0.05)
@@ -42,6 +42,8 @@ def recorded(name: str, mode: str = "robust", real_time: bool = False, switch: s
         if switch:
             graph.wait_until(lambda: flown_s() > 0.5)
             assert graph.set_parameter("nmpc", "mode", switch).successful
+            graph.wait_until(lambda: flown_s() > 0.8)
+            assert graph.set_parameter("nmpc", "weights.yaw", 30.0).successful
         graph.wait_until(lambda: sim.process.poll() is not None)
         assert sim.process.returncode == 0, sim.output
         assert monitor.interrupt() == 0, monitor.output

@@ -23,6 +23,7 @@ from rclpy.parameter_client import AsyncParameterClient
 
 from gtmr_msgs_py.environment import ros_environment
 from gtmr_msgs_py.topics import Topic
+from gtmr_nmpc import Controller
 
 SOURCES = Path(__file__).parents[1] / "src"
 DEADLINE_S = 20.0
@@ -102,6 +103,8 @@ class RosGraph:
         self._processes: list[NodeProcess] = []
 
     def __enter__(self) -> RosGraph:
+        # Compiled once for this machine; no node shall do it while a deadline runs.
+        Controller()
         self._context = Context()
         rclpy.init(context=self._context, domain_id=self.domain_id)
         self.node = rclpy.create_node("onlooker", context=self._context)

@@ -466,7 +466,7 @@ CHROMIUM = next(
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")
 def test_the_report_in_a_browser_draws_all_and_asks_for_nothing(flown, tmp_path):
-    (html,) = write_campaign_report([flown], tmp_path / "report.html")
+    html, *_ = write_campaign_report([flown], tmp_path / "report.html")
     net = tmp_path / "net.json"
     run = subprocess.run(
         [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}/p",
@@ -489,7 +489,7 @@ def test_a_report_of_a_campaign_that_was_cut_short_says_so(flown, tmp_path):
     lines = (flown / "trials.csv").read_text().splitlines(keepends=True)
     (part / "trials.csv").write_text("".join(lines[:4]))
 
-    (html,) = write_campaign_report([part], tmp_path / "report.html")
+    html, *_ = write_campaign_report([part], tmp_path / "report.html")
 
     assert "9 flights are still missing" in html.read_text()
     assert Campaign.read(part).summary["nominal"]["trials"] == 2

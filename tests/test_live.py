@@ -35,6 +35,7 @@ from gtmr_study.live_status import Standing, status  # noqa: E402
 
 DURATION_S = 10.0
 STATE = np.r_[1.32, 0.0, 2.5, 0.0, 0.0, 0.0, np.zeros(6), np.full(6, 61.5)]
+AT_REST = np.r_[np.zeros(12), STATE[12:]]
 MARGINS = np.linspace(0.0, 0.09, 21)
 PLAN = np.stack(
     [np.full(21, 1.32), np.linspace(0.0, 0.25, 21), np.linspace(2.5, 2.53, 21)], axis=1
@@ -68,10 +69,10 @@ def test_a_browser_draws_the_page_and_asks_nobody_else_for_anything(page):
     tower = Tower()
     page.draw(markers.tower(tower))
     page.add_joints(tower)
-    page.draw(markers.vehicle(Vehicle.paper(), STATE))
+    page.draw(markers.vehicle(Vehicle.paper(), AT_REST), topics.BASE_LINK)
     page.draw(markers.tightened_shells(tower, MARGINS, PLAN[:, 2], "robust"))
     page.draw(markers.plan(PLAN, "robust"))
-    page.follow(STATE[:3])
+    page.move(odometry.encode(0, STATE).pose.pose)
     for time_s in np.arange(0.0, 6.0, 0.025):
         page.add_residual("nominal", time_s, 0.01)
         page.add_residual("robust", time_s, -0.12)
@@ -104,9 +105,9 @@ class Recorder:
     """Stands in for the page."""
 
     def __init__(self, duration_s, modes, min_clearance_m):
-        self.drawn, self.residuals, self.shown, self.followed = {}, [], [], []
+        self.drawn, self.residuals, self.shown = {}, [], []
 
-    def draw(self, drawn):
+    def draw(self, drawn, frame="map"):
         self.drawn |= {(marker.ns, marker.id): marker for marker in drawn}
 
     def add_joints(self, tower):
@@ -115,8 +116,8 @@ class Recorder:
     def add_residual(self, *sample):
         self.residuals.append(sample)
 
-    def follow(self, position):
-        self.followed.append(position)
+    def move(self, pose):
+        self.pose = pose
 
     def show(self, *now):
         self.shown.append(now)
@@ -151,7 +152,7 @@ def test_the_view_draws_what_it_hears(monkeypatch):
             return drawn >= wanted and heard and page.shown[-1][1] > 0.0
 
         graph.wait_until(complete)
-    assert page.followed[-1] == pytest.approx(STATE[:3])
+    assert page.pose == odometry.encode(0, STATE).pose.pose
     assert page.shown[-1] == ("robust", pytest.approx(0.091))
     shell = page.drawn["tightened", 0]
     assert 0.5 * shell.scale.x == pytest.approx(1.0 + 0.2 + 0.091)

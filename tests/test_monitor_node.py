@@ -299,7 +299,6 @@ def test_several_vehicles_go_into_one_bag(graph, tmp_path):
     assert graph.residuals == pytest.approx([-0.2])
     assert read_flight(bag, "/hex1").recorded_residual == pytest.approx([-0.3])
     assert read_flight(bag, "").recorded_residual == pytest.approx([-0.2])
-    assert read_flight(bag, "/hex1").seed == 7
 
 
 @pytest.mark.parametrize("parameter", ["bag:={folder}", "tower.radius_m:=-1.0"])

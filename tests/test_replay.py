@@ -142,12 +142,13 @@ def test_the_commands_of_a_flight_come_out_again(name, options):
     assert result["notes"] == []
 
 
-def test_a_switch_in_flight_is_made_at_its_step():
+def test_changes_in_flight_are_made_at_their_steps():
     bag = recorded("switched", mode="nominal", switch="robust")
     replayed = replay(read_recording(bag))
 
     assert [mode for _, mode in replayed.modes] == ["nominal", "robust"]
     assert 0.5 < replayed.modes[1][0] < 1.5
+    assert [c.values for c in replayed.recording.changes][-1] == {"weights.yaw": 30.0}
     for step, margins in zip(replayed.steps, replayed.recording.margins, strict=True):
         assert step.alpha_g == pytest.approx(margins.alpha_g, abs=1e-12)
         assert step.by_channel == pytest.approx(margins.by_channel, abs=1e-12)

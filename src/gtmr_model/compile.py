@@ -210,5 +210,7 @@ def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
     except OSError as error:
         raise CompileError(f"{command[0]}: {error.strerror}") from None
     except subprocess.CalledProcessError as error:
-        reason = next(iter(error.stderr.strip().splitlines()), f"exit code {error.returncode}")
+        said = error.stderr.strip().splitlines()
+        errors = [line for line in said if "error" in line] or said
+        reason = errors[0] if errors else f"exit code {error.returncode}"
         raise CompileError(f"{command[0]} failed: {reason}") from None

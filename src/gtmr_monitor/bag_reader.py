@@ -32,6 +32,7 @@ _TORN = (
     UnicodeDecodeError,
     KeyError,
     MemoryError,
+    OverflowError,
 )
 
 

@@ -23,6 +23,7 @@ _LIMIT = {"color": look.LIMIT, "dash": "dash", "width": 1.5}
 
 def trajectory(flown: Flown) -> go.Figure:
     """Draw the flights round the tower in space."""
+    flown = look.moved(flown)
     first = flown[0][0]
     heights = np.concatenate([flight.p[:, 2] for flight, _ in flown])
     height = np.array([heights.min() - 0.15, heights.max() + 0.15])
@@ -75,17 +76,11 @@ def residual(flown: Flown) -> go.Figure:
     figure = make_subplots(
         1, 2, column_widths=[0.76, 0.24], shared_yaxes=True, horizontal_spacing=0.04
     )
-    for flight, line in flown:
+    for flight, line in look.moved(flown):
         figure.add_scatter(
             x=flight.t, y=flight.residual, mode="lines", name=line.label, line=_pen(line),
             legendgroup=line.label, hovertemplate="%{y:.3f} m", row=1, col=1,
         )  # fmt: skip
-        if flight.predictions is not None:
-            figure.add_scatter(
-                x=flight.predictions.t, y=flight.predictions.worst, mode="lines",
-                name=f"{line.label}, foreseen", line=_pen(line) | {"dash": "dot", "width": 1.2},
-                hovertemplate="%{y:.3f} m", row=1, col=1,
-            )  # fmt: skip
         quartiles = flight.residual_statistics["residual_m"]
         figure.add_box(
             x=[line.label], lowerfence=[quartiles["min"]], q1=[quartiles["q1"]],
@@ -97,6 +92,13 @@ def residual(flown: Flown) -> go.Figure:
             figure.add_vline(
                 x=at, line=_pen(line) | {"dash": "dot"}, annotation_text=mode, row=1, col=1
             )
+    for flight, line in flown:
+        if flight.predictions is not None:
+            figure.add_scatter(
+                x=flight.predictions.t, y=flight.predictions.residual, mode="lines",
+                name=f"{line.label}, foreseen", line=_pen(line) | {"dash": "dot", "width": 1.2},
+                hovertemplate="%{y:.3f} m", row=1, col=1,
+            )  # fmt: skip
     figure.add_hline(y=0.0, line=_LIMIT, row=1, col="all")
     figure.add_annotation(
         x=0.0, y=0.0, xref="x domain", yref="y", text="violated above 0", showarrow=False,
@@ -184,6 +186,7 @@ def solve_times(flown: Flown) -> go.Figure:
 
 def rotors(flown: Flown) -> go.Figure:
     """Draw the speed of every rotor, one panel per flight."""
+    flown = look.moved(flown)
     figure = make_subplots(
         len(flown), 1, shared_xaxes=True, shared_yaxes="all", vertical_spacing=0.12 / len(flown),
         subplot_titles=[f"Rotor speeds, {line.label}" for _, line in flown],
@@ -207,6 +210,7 @@ def rotors(flown: Flown) -> go.Figure:
 
 def attitude(flown: Flown) -> go.Figure:
     """Draw roll, pitch and the deviation of the heading from the tower."""
+    flown = look.moved(flown)
     figure = make_subplots(3, 1, shared_xaxes=True, vertical_spacing=0.05)
     for flight, line in flown:
         angles = np.degrees(np.column_stack([flight.eta[:, :2], flight.heading_error]))

@@ -44,6 +44,7 @@ Flown = Sequence[tuple[Flight, Line]]
 
 def trajectory(flown: Flown) -> Figure:
     """Draw the flights round the tower, in space and from above."""
+    flown = look.moved(flown)
     figure = _figure(9.0, 5.2)
     grid = figure.add_gridspec(1, 2, width_ratios=(1.2, 1.0))
     space = figure.add_subplot(grid[0], projection="3d")
@@ -91,28 +92,30 @@ def residual(flown: Flown) -> Figure:
     """Draw the clearance residual over time and as box plots, with the safety line."""
     figure = _figure(9.0, 4.0)
     over_time, box = figure.subplots(1, 2, width_ratios=(3.4, 1.0), sharey=True)
-    for flight, line in flown:
+    moved = look.moved(flown)
+    for flight, line in moved:
         over_time.plot(flight.t, flight.residual, **_pen(line), label=line.label)
-        if flight.predictions is not None:
-            over_time.plot(
-                flight.predictions.t, flight.predictions.worst, color=line.colour, linestyle=":",
-                linewidth=0.9, label=f"{line.label}, foreseen",
-            )  # fmt: skip
         for at, mode in flight.modes[1:]:
             over_time.axvline(at, color=line.colour, linestyle=":", linewidth=1.0)
             over_time.annotate(
                 f" {mode}", (at, 1.0), xycoords=("data", "axes fraction"), va="top", fontsize=8
             )
+    for flight, line in flown:
+        if flight.predictions is not None:
+            over_time.plot(
+                flight.predictions.t, flight.predictions.residual, color=line.colour,
+                linestyle=":", linewidth=0.9, label=f"{line.label}, foreseen",
+            )  # fmt: skip
     boxes = box.boxplot(
-        [flight.residual for flight, _ in flown],
+        [flight.residual for flight, _ in moved],
         whis=(0.0, 100.0),
         widths=0.5,
         patch_artist=True,
         medianprops={"color": look.INK, "linewidth": 1.4},
     )
-    for patch, (_, line) in zip(boxes["boxes"], flown, strict=True):
+    for patch, (_, line) in zip(boxes["boxes"], moved, strict=True):
         patch.set(facecolor=line.colour, alpha=0.55, edgecolor=line.colour)
-    box.set_xticks(range(1, len(flown) + 1), [line.label.replace(" ", "\n") for _, line in flown])
+    box.set_xticks(range(1, len(moved) + 1), [line.label.replace(" ", "\n") for _, line in moved])
     box.grid(axis="x", visible=False)
     box.set_title("Quartiles, extremes")
     for axes in (over_time, box):
@@ -194,6 +197,7 @@ def solve_times(flown: Flown) -> Figure:
 
 def rotors(flown: Flown) -> Figure:
     """Draw the speed of every rotor, one panel per flight."""
+    flown = look.moved(flown)
     figure = _figure(9.0, 2.4 * len(flown) + 0.6)
     panels = figure.subplots(len(flown), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
     for (flight, line), axes in zip(flown, panels, strict=True):
@@ -213,6 +217,7 @@ def rotors(flown: Flown) -> Figure:
 
 def attitude(flown: Flown) -> Figure:
     """Draw roll, pitch and the deviation of the heading from the tower."""
+    flown = look.moved(flown)
     figure = _figure(9.0, 5.6)
     panels = figure.subplots(3, 1, sharex=True)
     names = ("roll [deg]", "pitch [deg]", "heading error [deg]")

@@ -54,15 +54,9 @@ class Predictions:
     """What the plans of M controller steps foresee of the clearance."""
 
     t: Array
-    """When they were made [s], shape (M,)."""
+    """When they end [s], shape (M,)."""
     residual: Array
-    """s = d_min - d_T at each stage of each plan [m], shape (M, N + 1)."""
-
-    @property
-    def worst(self) -> Array:
-        """The largest residual of each plan [m], shape (M,)."""
-        largest: Array = self.residual.max(axis=1)
-        return largest
+    """s = d_min - d_T at the end of each plan [m], shape (M,)."""
 
 
 @dataclass(frozen=True)

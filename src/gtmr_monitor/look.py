@@ -177,6 +177,22 @@ def tightened(flown: Sequence[tuple[Flight, Line]]) -> list[tuple[Flight, Line]]
     return [(flight, line) for flight, line in flown if flight.margins.total.any()]
 
 
+def moved(flown: Sequence[tuple[Flight, Line]]) -> list[tuple[Flight, Line]]:
+    """Pick the flights that were flown: the motion of a replayed one is that of another.
+
+    Parameters
+    ----------
+    flown : sequence of (Flight, Line)
+        The flights of a report.
+
+    Returns
+    -------
+    list of (Flight, Line)
+        At least one.
+    """
+    return [(flight, line) for flight, line in flown if not flight.replayed] or list(flown)
+
+
 def residual_range(flights: Sequence[Flight]) -> tuple[float, float]:
     """Limits of an axis for residuals, with room for words above the safety line.
 
@@ -191,7 +207,7 @@ def residual_range(flights: Sequence[Flight]) -> tuple[float, float]:
         [m].
     """
     drawn = [flight.residual for flight in flights]
-    drawn += [flight.predictions.worst for flight in flights if flight.predictions is not None]
+    drawn += [f.predictions.residual for f in flights if f.predictions is not None]
     low = min(float(values.min(initial=np.inf)) for values in drawn)
     high = max(0.0, *(float(values.max(initial=-np.inf)) for values in drawn))
     span = max(high - low, 0.01)

@@ -27,8 +27,9 @@ CAPTIONS = {
     "residual": (
         "Clearance residual",
         "s = d<sub>min</sub> − d<sub>T</sub> at every odometry message; below the dashed line "
-        "the clearance constraint holds. Boxes show quartiles, whiskers the extremes. What is "
-        "foreseen, where a flight was replayed, is the largest residual of each plan.",
+        "the clearance constraint holds. Boxes show quartiles, whiskers the extremes. Where a "
+        "flight was replayed, dotted lines show what each plan foresaw of the instant at which "
+        "it ends.",
     ),
     "margins": (
         "Tightening margins",
@@ -101,8 +102,8 @@ def _page(flown: Flown) -> str:
     )
     warnings += "".join(
         f"<p>{escape(line.label)}: this controller did not fly. It was fed the recorded states "
-        "again: trajectory, residual, rotor speeds and attitude are the recorded ones; margins, "
-        "what is foreseen, slack and solve times are its own.</p>"
+        "again: motion and residual are the recorded ones; margins, slack, solve times and what "
+        "its plans foresee are its own.</p>"
         for flight, line in flown
         if flight.replayed
     )
@@ -247,7 +248,7 @@ _SUMMARY: tuple[Row, ...] = (
     ("steps with slack", _softened),
 )
 _COMPARISON: tuple[Row, ...] = (
-    ("residual foreseen, maximum [m]", _foreseen),
+    ("residual foreseen at the end of plans, maximum [m]", _foreseen),
     ("largest margin [m]", _largest_margin),
 )
 _CONDITIONS: tuple[Row, ...] = (

@@ -106,13 +106,15 @@ def values(arguments: Mapping[str, Argument], given: Mapping[str, str]) -> dict[
 def _value(name: str, argument: Argument, text: str) -> Any:
     if argument.kind is str:
         return text
-    value: Any = yaml.safe_load(text)
+    value = yaml.safe_load(text)
     # Whole numbers do for floats, in lists too.
     if argument.kind is float and type(value) is int:
         return float(value)
+    if type(value) is list and argument.kind is list:
+        return [float(item) for item in value]
     if type(value) is not argument.kind:
         raise ValueError(f"{name}:={text}: expected {argument.kind.__name__}")
-    return [float(item) for item in value] if argument.kind is list else value
+    return value
 
 
 def node(

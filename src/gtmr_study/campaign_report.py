@@ -11,7 +11,7 @@ from typing import Any
 from gtmr_monitor import look
 from gtmr_monitor.report_style import STYLE
 from gtmr_study.campaign_figures import FIGURES, Campaign
-from gtmr_study.drawing import inline_svg
+from gtmr_study.drawing import inline_svg, save
 
 CAPTIONS = {
     "residual": "s = d<sub>min</sub> − d<sub>T</sub>, pooled over all instants of all trials; "
@@ -39,12 +39,12 @@ def write_campaign_report(folders: Sequence[Path], out_html: Path) -> list[Path]
     folders : sequence of pathlib.Path
         Folders of campaigns.
     out_html : pathlib.Path
-        The file.
+        The file; figures go beside it as ``<stem>-<figure>.png``.
 
     Returns
     -------
     list of pathlib.Path
-        What was written.
+        What was written, the HTML file first.
 
     Raises
     ------
@@ -55,7 +55,18 @@ def write_campaign_report(folders: Sequence[Path], out_html: Path) -> list[Path]
     names = ", ".join(campaign.name for campaign in campaigns)
     body = "\n".join(campaign_section(campaign) for campaign in campaigns)
     out_html.write_text(page(f"Campaign {names}", body), encoding="utf-8")
-    return [out_html]
+    return [out_html, *_write_figures(campaigns, out_html)]
+
+
+def _write_figures(campaigns: Sequence[Campaign], out_html: Path) -> list[Path]:
+    paths = []
+    for number, campaign in enumerate(campaigns, start=1):
+        # One campaign's figures need no number.
+        prefix = out_html.stem if len(campaigns) == 1 else f"{out_html.stem}-{number}"
+        for name, draw in FIGURES.items() if campaign.flown else ():
+            stem = out_html.with_name(f"{prefix}-{name}")
+            paths += save(partial(draw, campaign), stem, ("png",))
+    return paths
 
 
 def page(title: str, body: str) -> str:

@@ -235,17 +235,27 @@ def demo_command(
 
 @app.command("report")
 def report_command(
-    paths: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Bags.")],
+    paths: Annotated[
+        list[Path],
+        typer.Argument(metavar="PATH...", help="Bags, or folders of campaigns."),
+    ],
     out: Annotated[
         Path, typer.Option(metavar="FILE.html", help="The report; figures go beside it.")
     ] = Path("report.html"),
 ) -> None:
-    """Make one self-contained HTML report, and PNG figures, of one or more bags."""
-    from gtmr_monitor.bag_flight import read_flight
-    from gtmr_monitor.report import write_report
+    """Make one self-contained HTML report, and PNG figures, of bags or of campaigns."""
+    from gtmr_study.trials_file import is_campaign
 
     require_new_file("--out", out)
-    written = write_report([read_flight(path) for path in paths], out)
+    if any(is_campaign(path) for path in paths):
+        from gtmr_study.campaign_report import write_campaign_report
+
+        written = write_campaign_report(paths, out)
+    else:
+        from gtmr_monitor.bag_flight import read_flight
+        from gtmr_monitor.report import write_report
+
+        written = write_report([read_flight(path) for path in paths], out)
     console.print("\n".join(str(path) for path in written))
 
 
@@ -254,7 +264,7 @@ def _live_view(duration: float, modes: list[str]) -> LiveView:
     try:
         from gtmr_study.live import LiveView
     except ModuleNotFoundError as error:
-        raise InputError(f"--live needs {error.name}: pip install viser") from None
+        raise InputError(f"--live needs {error.name}: pip install 'gtmr[live]'") from None
     view = LiveView(duration, modes)
     console.print(f"Live view: {view.page.url} (open it in a browser)")
     return view

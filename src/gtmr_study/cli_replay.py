@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.box import SIMPLE_HEAD
@@ -17,7 +17,7 @@ from rich.text import Text
 
 from gtmr_model import Vehicle
 from gtmr_monitor.bag_reader import TruncatedBagWarning
-from gtmr_nmpc import MODES, ControllerConfig, Mode
+from gtmr_nmpc import MODES, ControllerConfig
 from gtmr_study.result_files import InputError, require_folder_of, require_new_file, write_json
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def replay_command(
         task = progress.add_task("replay", total=None)
         replayed = replay(
             recording,
-            cast("Mode | None", mode),
+            mode,
             config,
             lambda done, total: progress.update(task, completed=done, total=total),
         )
@@ -200,7 +200,7 @@ def _print_result(result: dict[str, Any]) -> None:
     table = Table("", "recorded", "replayed", box=SIMPLE_HEAD)
     for name, key in (
         ("largest margin [m]", "largest_margin_m"),
-        ("largest residual foreseen [m]", "largest_foreseen_residual_m"),
+        ("largest residual at plans' end [m]", "largest_foreseen_residual_m"),
     ):
         table.add_row(Text(name), *(_metres(result[who][key]) for who in ("recorded", "replayed")))
     table.add_row(Text("steps without a solution"), "", str(result["replayed"]["failed_steps"]))

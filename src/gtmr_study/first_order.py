@@ -24,7 +24,8 @@ Array = NDArray[np.float64]
 EVERY_S = 0.5
 """Time between two plans that are looked at; a horizon, so that they do not overlap [s]."""
 VERTICES_EVERY = 5
-"""Every which of these plans is also tried at all 512 vertices of the box."""
+"""Of every which trial the first plan is also tried in the worst cases, all 512 vertices of the
+box among them."""
 PARTS = ("parametric", "gust", "both")
 
 
@@ -131,7 +132,7 @@ def _of_trial(study: Study, trial: int) -> Perturbations:
 
     worst_p, worst_g = [], []
     vertices = config.uncertainty.vertices()
-    for plan in range(trial % VERTICES_EVERY, len(kept), VERTICES_EVERY):
+    for plan in (0,) if kept and trial % VERTICES_EVERY == 0 else ():
         alone = slice(plan, plan + 1)
         many_x, many_u = (np.repeat(v[alone], len(vertices), axis=0) for v in (x, u))
         change = y(many_x, many_u, vertices, calm) - nominal[alone]

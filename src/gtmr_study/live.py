@@ -12,7 +12,17 @@ from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 
-from gtmr_msgs_py import markers, odometry, path, rotor_states, stamps, tightening, topics
+from gtmr_model.dynamics import POSITION
+from gtmr_msgs_py import (
+    attitude,
+    markers,
+    odometry,
+    path,
+    rotor_states,
+    stamps,
+    tightening,
+    topics,
+)
 from gtmr_msgs_py.message_error import MessageError
 from gtmr_msgs_py.topics import Topic
 from gtmr_sim import Scenario
@@ -48,10 +58,10 @@ class LiveView:
 
     def __init__(self, duration_s: float, modes: Sequence[str]) -> None:
         scenario = Scenario()
-        self._vehicle, self._tower = scenario.vehicle, scenario.tower
-        self.page = LivePage(duration_s, modes, self._tower.min_clearance_m)
-        self.page.draw(markers.tower(self._tower))
-        self.page.add_joints(self._tower)
+        self.vehicle, self.tower = scenario.vehicle, scenario.tower
+        self.page = LivePage(duration_s, modes, self.tower.min_clearance_m)
+        self.page.draw(markers.tower(self.tower))
+        self.page.add_joints(self.tower)
 
     def watch(self, node: Node, mode: str) -> Callable[[], None]:
         """Show the flight that a node can hear.
@@ -78,6 +88,7 @@ class _Flight:
         self._view, self._mode = view, mode
         self._newest: dict[str, bytes] = {}
         self._time_s, self._margin_m = 0.0, 0.0
+        self._pose = np.zeros(3), np.eye(3)
         self._track: list[np.ndarray] = []
         self._drawn_at = self._shown_at = -np.inf
         for topic in SHOWN:
@@ -122,18 +133,24 @@ class _Flight:
         odom, rotors = self._take(topics.ODOM), self._take(topics.ROTOR_STATES)
         if odom is not None and rotors is not None:
             _, body = odometry.decode(odom)
-            _, xi = rotor_states.decode(rotors, view._vehicle.n_rotors)
-            page.draw(markers.vehicle(view._vehicle, np.concatenate([body, xi])))
-            page.follow(body[:3])
-            self._draw_track(body[:3])
+            _, xi = rotor_states.decode(rotors, view.vehicle.n_rotors)
+            # In its own frame the vehicle stays as it is but for the thrust: one pose moves all.
+            at_rest = np.concatenate([np.zeros_like(body), xi])
+            page.draw(markers.vehicle(view.vehicle, at_rest), topics.BASE_LINK)
+            page.move(odom.pose.pose)
+            self._pose = body[POSITION], attitude.rotation(odom.pose.pose.orientation)
+            self._draw_track(body[POSITION])
         plan, margins = self._take(topics.PREDICTED_PATH), self._take(topics.TIGHTENING)
         if plan is not None and margins is not None:
             _, planned = path.decode(plan)
+            here, turned = self._pose
             tightened = tightening.decode(margins)
             margins_m = tightened.alpha_p + tightened.alpha_g
             self._margin_m = float(margins_m.max())
-            page.draw(markers.plan(planned, self._mode))
-            page.draw(markers.tightened_shells(view._tower, margins_m, planned[:, 2], self._mode))
+            # Seen from the vehicle the plan hardly moves, so that even a browser that draws
+            # lines later than poses shows the two together.
+            page.draw(markers.plan((planned - here) @ turned, self._mode), topics.BASE_LINK)
+            page.draw(markers.tightened_shells(view.tower, margins_m, planned[:, 2], self._mode))
         reference = self._take(topics.REFERENCE)
         if reference is not None:
             _, ahead = path.decode(reference)

@@ -5,6 +5,7 @@ It is served by viser, which is needed for this alone: ``pip install 'gtmr[live]
 
 from __future__ import annotations
 
+import atexit
 import io
 import itertools
 import math
@@ -15,12 +16,14 @@ from typing import Any
 
 import numpy as np
 import viser
+from geometry_msgs.msg import Pose
 from numpy.typing import NDArray
 from visualization_msgs.msg import Marker
 
 from gtmr_model import Tower
 from gtmr_monitor import look
 from gtmr_msgs_py import markers
+from gtmr_msgs_py.topics import BASE_LINK, MAP
 from gtmr_study.live_status import LEGEND, Standing, status
 
 LOOPBACK = "127.0.0.1"
@@ -40,7 +43,6 @@ JOINTS_EVERY_M = 1.0
 SEAMS = 8
 """Joints round the tower and seams along it, so that one sees the vehicle move."""
 JOINT_COLOR = (150, 150, 146)
-ROOT = "/map"
 
 
 @dataclass
@@ -50,6 +52,16 @@ class _Curve:
     residual: NDArray[np.float64]
     """The largest in each share of time, NaN where there is none yet [m]."""
     standing: Standing = field(default_factory=Standing)
+
+
+@dataclass
+class _Drawn:
+    """A marker on the page."""
+
+    handle: Any
+    """What viser has for it."""
+    properties: dict[str, Any]
+    """As the page has them."""
 
 
 class LivePage:
@@ -70,10 +82,11 @@ class LivePage:
         self._min_clearance_m = min_clearance_m
         self._curves = {mode: _Curve(np.full(CURVE_POINTS, np.nan)) for mode in modes}
         self._range = RESIDUAL_RANGE_M
-        self._drawn: dict[str, Any] = {}
+        self._drawn: dict[str, _Drawn] = {}
         # viser prints where it listens, and that it stops, whatever it is told.
         with redirect_stdout(io.StringIO()):
             self._server = viser.ViserServer(LOOPBACK, PORT, "gtmr live", verbose=False)
+        atexit.register(self.stop)
         self._furnish()
         self._lay_out()
 
@@ -84,20 +97,23 @@ class LivePage:
 
     def stop(self) -> None:
         """Serve the page no longer."""
+        atexit.unregister(self.stop)
         with redirect_stdout(io.StringIO()):
             self._server.stop()
 
-    def draw(self, drawn: Iterable[Marker]) -> None:
+    def draw(self, drawn: Iterable[Marker], frame: str = MAP) -> None:
         """Show markers in space, in place of those of the same namespace and number.
 
         Parameters
         ----------
         drawn : iterable of visualization_msgs.msg.Marker
-            Cylinders, boxes, lines and arrows, in the world frame [m].
+            Cylinders, boxes, lines and arrows [m].
+        frame : str
+            In which they are given: `map`, or `base_link` for what goes along with the vehicle.
         """
         with self._server.atomic():
             for marker in drawn:
-                self._draw(marker)
+                self._draw(marker, self._frames[frame].name)
 
     def add_joints(self, tower: Tower) -> None:
         """Give the tower's smooth surface something to see motion by.
@@ -119,22 +135,28 @@ class LivePage:
         seams = circle[: -1 : (len(circle) - 1) // SEAMS]
         segments += [[(*at, 0.0), (*at, top)] for at in seams]
         self._server.scene.add_line_segments(
-            f"{ROOT}/joints", np.array(segments), JOINT_COLOR, thickness=0.006
+            f"/{MAP}/joints", np.array(segments), JOINT_COLOR, thickness=0.006
         )
 
-    def follow(self, position: NDArray[np.float64]) -> None:
-        """Turn the scene so that the vehicle stays in sight, if the viewer wants that.
+    def move(self, pose: Pose) -> None:
+        """Put the vehicle where it is, and turn the scene so that it stays in sight.
 
-        Not the camera moves but the world, so that the viewer's own view stays as it is.
+        Not the camera follows the vehicle but the world turns, so that a viewer is free to look
+        from elsewhere meanwhile.
 
         Parameters
         ----------
-        position : NDArray, shape (3,)
-            Of the vehicle, world frame [m].
+        pose : geometry_msgs.msg.Pose
+            Of `base_link` in `map` [m].
         """
-        azimuth = math.atan2(position[1], position[0]) if self._follow.value else 0.0
-        self._root.wxyz = (math.cos(0.5 * azimuth), 0.0, 0.0, -math.sin(0.5 * azimuth))
-        self._root.position = (0.0, 0.0, -float(position[2]))
+        at, turned = pose.position, pose.orientation
+        azimuth = math.atan2(at.y, at.x) if self._follow.value else 0.0
+        with self._server.atomic():
+            world, vehicle = self._frames[MAP], self._frames[BASE_LINK]
+            world.wxyz = (math.cos(0.5 * azimuth), 0.0, 0.0, -math.sin(0.5 * azimuth))
+            world.position = (0.0, 0.0, -at.z)
+            vehicle.wxyz = (turned.w, turned.x, turned.y, turned.z)
+            vehicle.position = (at.x, at.y, at.z)
 
     def add_residual(self, mode: str, time_s: float, residual_m: float) -> None:
         """Note a sample of the residual; ``show`` shows it.
@@ -184,11 +206,17 @@ class LivePage:
         """Set up what is the same in every flight: light, camera, the root of the scene."""
         scene, camera = self._server.scene, self._server.initial_camera
         scene.set_up_direction("+z")
-        scene.configure_environment_map("studio", environment_intensity=0.35)
+        # Plain lights: an environment map costs a slow machine most of its time, and hides the
+        # scene while it loads.
+        scene.configure_environment_map(None)
+        scene.add_light_hemisphere("/sky", ground_color=(190, 190, 185), intensity=2.5)
         scene.configure_default_lights(cast_shadow=False)
         camera.position, camera.look_at = CAMERA_M, LOOK_AT_M
         camera.fov = math.radians(45.0)
-        self._root = scene.add_frame(ROOT, show_axes=False)
+        self._frames = {
+            MAP: scene.add_frame(f"/{MAP}", show_axes=False),
+            BASE_LINK: scene.add_frame(f"/{MAP}/{BASE_LINK}", show_axes=False),
+        }
 
     def _lay_out(self) -> None:
         """Set up the panel at the side."""
@@ -232,28 +260,30 @@ class LivePage:
             "y": {"range": self._range},
         }
 
-    def _draw(self, marker: Marker) -> None:
-        name = f"{ROOT}/{marker.ns}/{marker.id}"
-        look_of = _look(marker)
-        handle = self._drawn.get(name)
-        if handle is None:
-            self._drawn[name] = self._add(name, marker, look_of)
-        else:
-            for prop, value in look_of.items():
-                setattr(handle, prop, value)
+    def _draw(self, marker: Marker, parent: str) -> None:
+        name = f"{parent}/{marker.ns}/{marker.id}"
+        properties = _properties(marker)
+        if name not in self._drawn:
+            self._drawn[name] = _Drawn(self._add(name, marker, properties), properties)
+            return
+        drawn = self._drawn[name]
+        for prop, value in properties.items():
+            if not np.array_equal(value, drawn.properties[prop]):
+                setattr(drawn.handle, prop, value)
+        drawn.properties = properties
 
-    def _add(self, name: str, marker: Marker, look_of: dict[str, Any]) -> Any:
+    def _add(self, name: str, marker: Marker, properties: dict[str, Any]) -> Any:
         scene = self._server.scene
         if marker.type == Marker.CYLINDER:
-            return scene.add_cylinder(name, 0.5, 1.0, radial_segments=96, **look_of)
+            return scene.add_cylinder(name, 0.5, 1.0, radial_segments=96, **properties)
         if marker.type == Marker.CUBE:
-            return scene.add_box(name, dimensions=(1.0, 1.0, 1.0), **look_of)
+            return scene.add_box(name, dimensions=(1.0, 1.0, 1.0), **properties)
         if marker.type == Marker.ARROW:
-            return scene.add_arrows(name, **look_of)
-        return scene.add_line_segments(name, **look_of)
+            return scene.add_arrows(name, **properties)
+        return scene.add_line_segments(name, **properties)
 
 
-def _look(marker: Marker) -> dict[str, Any]:
+def _properties(marker: Marker) -> dict[str, Any]:
     """Properties of a marker, by the names that viser has for them."""
     color = tuple(round(255 * part) for part in (marker.color.r, marker.color.g, marker.color.b))
     points = np.array([(p.x, p.y, p.z) for p in marker.points], dtype=np.float32)

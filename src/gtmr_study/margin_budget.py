@@ -82,19 +82,3 @@ def unit_slips(config: ControllerConfig) -> dict[str, ControllerConfig]:
         ),
         "horizon of 1 s (N = 40)": config.model_copy(update={"horizon": 40}),
     }
-
-
-def budget_table(config: ControllerConfig) -> dict[str, dict[str, float]]:
-    """Budgets of the tightening as printed and with slips of units.
-
-    Parameters
-    ----------
-    config : ControllerConfig
-        The paper's, read as it is printed.
-
-    Returns
-    -------
-    dict
-        `margin_budget` by name.
-    """
-    return {name: margin_budget(slipped) for name, slipped in unit_slips(config).items()}

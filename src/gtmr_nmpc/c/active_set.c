@@ -21,7 +21,7 @@
 /* Share of the largest violation from which on a row enters together with it. */
 #define BULK 0.5
 
-enum { MAX_ITERATIONS = 100 + 10 * N_ROWS, REFINEMENTS = 2, WARM_ROUNDS = 5, NONE = -1, ITSELF = -2 };
+enum { MAX_ITERATIONS = 100 + 10 * N_ROWS, REFINEMENTS = 2, WARM_ROUNDS = 5, MAX_REJECTED = 2, NONE = -1, ITSELF = -2 };
 
 static active_row row_at_bound(const gtmr_controller *c, int row, double side)
 {
@@ -390,10 +390,11 @@ static int enter_violated(gtmr_controller *c, const double *violation, int worst
     if (!enter(c, row_at_bound(c, worst, violation[worst] > 0.0 ? 1.0 : -1.0))) {
         return 0;
     }
-    for (int i = 0; i < N_ROWS; ++i) {
-        if (fabs(violation[i]) > least && i != worst) {
+    int rejected = 0;
+    for (int i = 0; i < N_ROWS && rejected < MAX_REJECTED; ++i) {
+        if (fabs(violation[i]) > least && !c->in_set[i]) {
             const active_row row = row_at_bound(c, i, violation[i] > 0.0 ? 1.0 : -1.0);
-            append(c, &row, 0, w);
+            rejected += !append(c, &row, 0, w);
         }
     }
     return 1;

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gtmr_model import Tower
 from gtmr_monitor.bag import BagError
 from gtmr_monitor.bag_flight import PARAMETER_EVENTS, parameter_value, strictly_later
 from gtmr_monitor.bag_reader import BagMessage, read_messages
@@ -94,9 +93,8 @@ class Recording:
     """By growing stamp."""
     margins: list[Tightening]
     """One for each command; empty if that is not so in the bag."""
-    plans: dict[int, Array]
-    """Planned positions [m], shape (N + 1, 3), by the stamp of the odometry planned from [ns];
-    empty if they are not of one size."""
+    plan_ends: list[tuple[int, Array]]
+    """When [ns] and where [m], shape (3,), each recorded plan ends."""
     changes: list[Change]
     """In the order in which they were told."""
     notes: list[str] = field(default_factory=list)
@@ -122,21 +120,6 @@ class Recording:
         for change in self.changes:
             first = change.values | first
         return first
-
-    def foreseen(self, tower: Tower) -> dict[int, Array]:
-        """Clearance residual along the recorded plans.
-
-        Parameters
-        ----------
-        tower : Tower
-            What to keep away from.
-
-        Returns
-        -------
-        dict from int to NDArray, shape (N + 1,)
-            s = d_min - d_T at every stage [m], by stamp [ns].
-        """
-        return {stamp_ns: tower.residual(p) for stamp_ns, p in self.plans.items()}
 
 
 def read_recording(
@@ -206,7 +189,7 @@ def read_recording(
         rotor_states=strictly_later(stamped, key=lambda item: item[0]),
         commands=answers,
         margins=_margins(recorded(topics.TIGHTENING), len(answers)),
-        plans=_plans(recorded(topics.PREDICTED_PATH)),
+        plan_ends=_plan_ends(recorded(topics.PREDICTED_PATH)),
         changes=_changes(of_type.get(PARAMETER_EVENT, {}), f"{home}/nmpc"),
         notes=notes,
     )
@@ -280,11 +263,9 @@ def _margins(messages: list[BagMessage], n_commands: int) -> list[Tightening]:
         return []
 
 
-def _plans(messages: list[BagMessage]) -> dict[int, Array]:
-    decoded = [message.decode() for message in messages]
-    plans = {stamps.decode(each.header.stamp): plan_path.decode(each)[1] for each in decoded}
-    sizes = {len(positions) for positions in plans.values()}
-    return plans if len(sizes) == 1 and 0 not in sizes else {}
+def _plan_ends(messages: list[BagMessage]) -> list[tuple[int, Array]]:
+    plans = (plan_path.decode(message.decode()) for message in messages)
+    return [(int(times_ns[-1]), positions[-1]) for times_ns, positions in plans if len(times_ns)]
 
 
 def _changes(events: ByTopic, node: str) -> list[Change]:

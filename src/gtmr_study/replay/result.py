@@ -42,8 +42,8 @@ class Step:
     """Gust margin, eq. (13) [m], shape (N + 1,)."""
     slack: Array
     """Violation of the tightened clearance [m], shape (N + 1,)."""
-    foreseen: Array
-    """Residual s along the plan [m], shape (N + 1,)."""
+    foreseen: float
+    """Residual s at the end of the plan [m]."""
     failed: bool
     """Whether the QP solver gave up."""
     solve_s: float
@@ -71,7 +71,7 @@ class Replay:
         """From when on [s], since the first odometry, which mode planned."""
         begins = self.steps[:1]
         begins += [step for before, step in pairwise(self.steps) if before.mode != step.mode]
-        return tuple((self._since_start(step), step.mode) for step in begins)
+        return tuple((self._since_start(step.stamp_ns), step.mode) for step in begins)
 
     @property
     def compared(self) -> list[Step]:
@@ -86,12 +86,12 @@ class Replay:
         dict
             ``samples`` commands were compared; ``max_abs_command_difference`` is over all rotor
             accelerations of all stages of their plans, in ``unit``; None without samples.
+            ``largest_foreseen_residual_m`` is s at the end of the plans.
         """
         compared = self.compared
         worst = max(compared, key=lambda step: step.difference or 0.0, default=None)
         solve_ms = [1e3 * step.solve_s for step in self.steps]
-        plans = self.recording.foreseen(self.config.tower)
-        common = [step for step in self.steps if step.stamp_ns in plans]
+        recorded = self._recorded_predictions()
         return {
             "bag": str(self.recording.path),
             "mode": " → ".join(mode for _, mode in self.modes),
@@ -99,13 +99,15 @@ class Replay:
             "samples": len(compared),
             "max_abs_command_difference": None if worst is None else worst.difference,
             "unit": UNIT,
-            "largest_difference_at_s": None if worst is None else self._since_start(worst),
+            "largest_difference_at_s": (
+                None if worst is None else self._since_start(worst.stamp_ns)
+            ),
             "steps": len(self.steps),
             "recorded": {
                 "largest_margin_m": _largest(
                     [margins.alpha_p + margins.alpha_g for margins in self.recording.margins]
                 ),
-                "largest_foreseen_residual_m": _largest([plans[s.stamp_ns] for s in common]),
+                "largest_foreseen_residual_m": _largest([recorded.residual]),
             },
             "replayed": {
                 "largest_margin_m": _largest(
@@ -114,7 +116,7 @@ class Replay:
                         for step in self.steps
                     ]
                 ),
-                "largest_foreseen_residual_m": _largest([step.foreseen for step in self.steps]),
+                "largest_foreseen_residual_m": _largest([self._predictions().residual]),
                 "largest_slack_m": _largest([step.slack for step in self.steps]),
                 "failed_steps": sum(step.failed for step in self.steps),
                 "solve_ms": solve_statistics(solve_ms),
@@ -140,8 +142,7 @@ class Replay:
         flown = read_flight(recording.path, recording.namespace, recording.renamed)
         if not recording.changes:
             flown = replace(flown, tower=self.config.tower, helix=self.config.helix)
-        t = np.array([self._since_start(step) for step in steps])
-        plans = sorted(recording.foreseen(flown.tower).items())
+        t = self._times()
         margins = Margins(
             t,
             np.array([step.by_channel for step in steps]),
@@ -158,21 +159,33 @@ class Replay:
             deadline_ms=1e3 * self.config.sampling_time_s,
             tower=self.config.tower,
             helix=self.config.helix,
-            predictions=Predictions(t, np.array([step.foreseen for step in steps])),
+            predictions=self._predictions(),
             replayed=True,
         )
-        if plans:
-            made_ns = np.array([stamp_ns for stamp_ns, _ in plans], dtype=np.int64)
-            since_start = (made_ns - recording.states[0].stamp_ns) / stamps.NANOSECONDS
-            foreseen = Predictions(since_start, np.array([residual for _, residual in plans]))
-            flown = replace(flown, predictions=foreseen)
-        return [flown, replayed]
+        return [replace(flown, predictions=self._recorded_predictions()), replayed]
 
-    def _since_start(self, step: Step) -> float:
-        return stamps.seconds(step.stamp_ns - self.recording.states[0].stamp_ns)
+    def _predictions(self) -> Predictions:
+        ahead_s = self.config.horizon * self.config.sampling_time_s
+        return Predictions(
+            self._times() + ahead_s, np.array([step.foreseen for step in self.steps])
+        )
+
+    def _recorded_predictions(self) -> Predictions:
+        ends = self.recording.plan_ends
+        positions = np.array([position for _, position in ends]).reshape(-1, 3)
+        return Predictions(
+            np.array([self._since_start(time_ns) for time_ns, _ in ends]),
+            self.config.tower.residual(positions),
+        )
+
+    def _times(self) -> Array:
+        return np.array([self._since_start(step.stamp_ns) for step in self.steps])
+
+    def _since_start(self, time_ns: int) -> float:
+        return stamps.seconds(time_ns - self.recording.states[0].stamp_ns)
 
 
 def _largest(values: list[Array]) -> float | None:
     """Largest number of all; None if there is none, or it is not finite and so no JSON."""
-    largest = max((float(value.max()) for value in values), default=math.nan)
+    largest = max((float(value.max()) for value in values if value.size), default=math.nan)
     return largest if math.isfinite(largest) else None

@@ -147,7 +147,7 @@ def _step(
         eps_s=float(solution.eps_s),
         alpha_g=np.array(solution.alpha_g),
         slack=np.array(solution.slack),
-        foreseen=config.tower.residual(solution.x_plan[:, POSITION]),
+        foreseen=float(config.tower.residual(solution.x_plan[-1, POSITION])),
         failed=solution.status == "failed",
         solve_s=solution.timing.total_s,
         difference=None if recorded is None else _difference(solution.u_plan, recorded, config),
