@@ -290,15 +290,13 @@ def test_bad_input_gets_one_clear_line(case, tmp_path, monkeypatch, refused):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_scheduler_that_is_not_there_is_said_within_ten_seconds(tmp_path):
-    start = time.monotonic()
+def test_a_scheduler_that_is_not_there_is_said_within_ten_seconds(tmp_path, refused):
+    address, start = "tcp://127.0.0.1:9", time.monotonic()
 
-    run = gtmr("campaign", "--scheduler", "tcp://127.0.0.1:9", "--out", tmp_path / "out")
+    said = refused("campaign", "--scheduler", address, "--out", tmp_path / "out")
 
     assert time.monotonic() - start < 10.0
-    assert run.returncode == 2
-    assert "--scheduler = tcp://127.0.0.1:9" in run.stderr
-    assert run.stderr.count("\n") == 1
+    assert f"--scheduler = {address}" in said
     assert not (tmp_path / "out").exists()
 
 
@@ -389,9 +387,10 @@ def test_a_line_that_does_not_fit_leaves_the_file_as_it_was(tmp_path, monkeypatc
     row = trial.empty_row(0, "robust") | {"status": "error"}
     with open_campaign("--out", tmp_path / "out", Study(trials=1)) as file:
         before = file.path.read_bytes()
-        monkeypatch.setattr(Path, "open", _full)
-        with pytest.raises(ResultsError, match="No space left"):
-            file.append([row])
+        with monkeypatch.context() as disk:
+            disk.setattr(Path, "open", _full)
+            with pytest.raises(ResultsError, match="No space left"):
+                file.append([row])
         assert file.path.read_bytes() == before
 
 
@@ -448,14 +447,14 @@ def test_the_ranking_finds_the_channel_that_matters():
         # Towards or away: it is the size of the wind that counts, not its sign.
         min_clearance_m=0.3
         - 0.1 * np.abs(zeta[:, 6])
-        + 0.05 * zeta[:, 0]
+        + 0.3 * zeta[:, 0]
         + rng.normal(0, 1e-3, 400),
     )
 
     shares = channel_shares(trials)
 
     assert list(shares.index[:2]) == ["w_bx", "mass"]
-    assert shares["w_bx"] > 0.8
+    assert shares["w_bx"] > 0.5
     assert shares.iloc[2:].max() < 0.05
 
 
@@ -467,19 +466,20 @@ CHROMIUM = next(
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")
 def test_the_report_in_a_browser_draws_all_and_asks_for_nothing(flown, tmp_path):
     html, *_ = write_campaign_report([flown], tmp_path / "report.html")
-    net = tmp_path / "net.json"
+    # The page itself counts what it has loaded.
+    count = "document.body.dataset.loaded = performance.getEntriesByType('resource').length"
+    page = html.read_text().replace("</body>", f"<script>{count}</script></body>")
+    html.write_text(page)
     run = subprocess.run(
         [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}/p",
-         "--disable-background-networking", "--disable-component-update", "--no-first-run",
-         "--enable-logging=stderr", f"--log-net-log={net}", "--dump-dom", f"file://{html}"],
+         "--no-first-run", "--enable-logging=stderr", "--dump-dom", f"file://{html}"],
         capture_output=True, text=True, timeout=60, check=True,
     )  # fmt: skip
 
     for name in FIGURES:
         assert f'<figure id="{name}"><svg' in run.stdout
+    assert 'data-loaded="0"' in run.stdout
     assert "CONSOLE" not in run.stderr
-    asked = [line for line in net.read_text().splitlines() if '"url":"http' in line]
-    assert asked == []
 
 
 def test_a_report_of_a_campaign_that_was_cut_short_says_so(flown, tmp_path):

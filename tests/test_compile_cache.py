@@ -124,7 +124,9 @@ def test_without_a_compiler_all_works_with_one_notice_and_the_same_answers(cache
     interpreted = run()
     assert interpreted.stderr.count("\n") == 1
     assert "no C compiler found" in interpreted.stderr
-    for one, other in zip(json.loads(compiled.stdout), json.loads(interpreted.stdout), strict=True):
+    for one, other in zip(
+        json.loads(compiled.stdout), json.loads(interpreted.stdout), strict=True
+    ):
         np.testing.assert_allclose(one, other, atol=1e-9)
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from gtmr_model import Vehicle
 from gtmr_nmpc import Controller, ControllerConfig
+from gtmr_nmpc.interpreted import InterpretedIteration
 from gtmr_nmpc.rti import RealTimeIteration
 from gtmr_sim import Scenario, Simulation, fly
 
@@ -211,3 +212,26 @@ def test_states_that_are_none_are_refused():
         Controller().step(0.0, np.zeros(17))
     with pytest.raises(ValueError, match="not finite"):
         Controller().step(0.0, START * np.nan)
+
+
+def test_after_a_failure_the_next_step_starts_from_the_measured_state():
+    class FailsOnce(InterpretedIteration):
+        starts = ""
+
+        def cold(self, x):
+            self.starts += "c"
+            super().cold(x)
+
+        def warm(self, steps):
+            self.starts += "w"
+            super().warm(steps)
+
+        def feedback(self, x):
+            plan = super().feedback(x)
+            return plan._replace(status="failed") if len(self.starts) == 3 else plan
+
+    iteration = FailsOnce(ControllerConfig())
+    controller = Controller(iteration=iteration)
+    statuses = [controller.step(0.025 * k, START).status for k in range(5)]
+    assert statuses == ["solved", "solved", "failed", "solved", "solved"]
+    assert iteration.starts == "cwwcw"

@@ -211,6 +211,6 @@ def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
         raise CompileError(f"{command[0]}: {error.strerror}") from None
     except subprocess.CalledProcessError as error:
         said = error.stderr.strip().splitlines()
-        errors = [line for line in said if "error" in line] or said
+        errors = [line for line in said if "error:" in line] or said
         reason = errors[0] if errors else f"exit code {error.returncode}"
         raise CompileError(f"{command[0]} failed: {reason}") from None

@@ -87,6 +87,7 @@ class Controller:
         """Forget the warm start, as before the first step."""
         self._last_t: float | None = None
         self._last_progress = 0.0
+        self._failed = False
         self._prepared = None
 
     def prepare(self, t: float) -> None:
@@ -133,7 +134,9 @@ class Controller:
         start = time.perf_counter()
         plan = self._iteration.feedback(x)
         feedback_s = time.perf_counter() - start
+        # A plan that was no solution is no place to start from either.
         self._last_t, self._last_progress = t, progress
+        self._failed = plan.status == "failed"
         return Solution(
             u=plan.u_plan[0],
             margin_scale=_margin_scale(progress),
@@ -180,7 +183,7 @@ class Controller:
 
     def _warm(self, t: float) -> bool:
         """Start from the last plan, if it reaches time t."""
-        if self._last_t is None:
+        if self._last_t is None or self._failed:
             return False
         steps = round((t - self._last_t) / self.config.sampling_time_s)
         if not 0 <= steps < self.config.horizon:

@@ -23,7 +23,7 @@ from gtmr_sim import GUST_KINDS, GustConfig, Scenario, fly
 from gtmr_study.cli_bench import bench_command
 from gtmr_study.cli_campaign import calibrate_command, campaign_command, reproduce_command
 from gtmr_study.cli_export import export_c_command
-from gtmr_study.cli_replay import play_command, replay_command
+from gtmr_study.cli_replay import play_command, replay_command, truncation_told
 from gtmr_study.result_files import (
     InputError,
     require_empty_folder,
@@ -255,7 +255,9 @@ def report_command(
         from gtmr_monitor.bag_flight import read_flight
         from gtmr_monitor.report import write_report
 
-        written = write_report([read_flight(path) for path in paths], out)
+        with truncation_told():
+            flights = [read_flight(path) for path in paths]
+        written = write_report(flights, out)
     console.print("\n".join(str(path) for path in written))
 
 

@@ -81,7 +81,7 @@ def replay_command(
     except ModuleNotFoundError as error:
         raise _needs_ros("a replay", error) from None
 
-    with _truncation_told():
+    with truncation_told():
         recording = read_recording(bag, odom, rotors)
     config = _config(recording, controller, vehicle)
     with _progress() as progress:
@@ -133,7 +133,7 @@ def play_command(
     except ModuleNotFoundError as error:
         raise _needs_ros("playing a bag", error) from None
 
-    with _truncation_told():
+    with truncation_told():
         playlist = read_playlist(bag, everything)
     console.print(
         f"Playing {', '.join(sorted(playlist.types))}: {playlist.duration_s:.1f} s at "
@@ -175,7 +175,7 @@ def _needs_ros(what: str, error: ModuleNotFoundError) -> InputError:
 
 
 @contextmanager
-def _truncation_told() -> Iterator[None]:
+def truncation_told() -> Iterator[None]:
     """Turn Python's warning of a bag without an end into a line for the user."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", TruncatedBagWarning)

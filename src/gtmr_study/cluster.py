@@ -16,9 +16,9 @@ from gtmr_study.result_files import InputError
 from gtmr_study.study import Study
 from gtmr_study.trial import ERROR, Row, empty_row, fly_trials
 
-CONNECT_TIMEOUT_S = 4.0
+CONNECT_TIMEOUT_S = 3.0
 """How long a scheduler may take to answer [s]."""
-WORKERS_TIMEOUT_S = 4.0
+WORKERS_TIMEOUT_S = 3.0
 """How long a scheduler may be without workers at the start [s]."""
 CHUNK_FLIGHT_S = 100.0
 """Simulated flight handed out at a time: long against the cost of handing out, short enough that

@@ -28,6 +28,7 @@ from gtmr_study.summary import summarise
 
 RESULTS_FILE = "reproduction.json"
 REPORT_FILE = "report.html"
+CLAIMS_FILE = "claims.md"
 
 OnProgress = Callable[[str, int, int], None]
 """Told what is being done, how much of it is done, and of how much."""
@@ -126,7 +127,13 @@ def reproduce(
         save(draw, folder / name)
     html = _page(Campaign.read(folder), results, drawn)
     (folder / REPORT_FILE).write_text(html, encoding="utf-8")
+    (folder / CLAIMS_FILE).write_text(_markdown(claims(summary)), encoding="utf-8")
     return results
+
+
+def _markdown(rows: list[tuple[str, str, str, str]]) -> str:
+    lines = [("claim", "paper", "here", "verdict"), ("---",) * 4, *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def _fig_1_flights(study: Study, tell: Callable[[int, int], None]) -> dict[str, FlightLog]:

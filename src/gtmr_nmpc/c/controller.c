@@ -17,6 +17,8 @@ enum {
 #define CLEARANCE_ROUNDING 1e-14
 /* Slack below this is rounding as well [m]. */
 #define SLACK_ROUNDING 1e-9
+/* By how much a solution may break the limits of rotors: Hz/s, Hz. */
+#define LIMIT_TOLERANCE 1e-6
 
 size_t gtmr_size(void)
 {
@@ -212,6 +214,24 @@ static void stay(gtmr_controller *c)
     memcpy(c->last.u, c->u, sizeof c->u);
 }
 
+/* Rotor limits are hard: a step that breaks them is no solution, whatever the solver thinks. */
+static int breaks_rotor_limits(const gtmr_controller *c)
+{
+    int broken = 0;
+    for (int i = 0; i < STAGES; ++i) {
+        for (int r = 0; r < N_U; ++r) {
+            const int input = row_of(i, r), speed = row_of(i, N_U + r);
+            const double u = c->u[i][r] + c->step[i][N_X + r];
+            const double xi = c->x[i + 1][BODY + r] + c->step[i + 1][BODY + r];
+            broken |= !(u <= c->upper[input] + LIMIT_TOLERANCE &&
+                        u >= c->lower[input] - LIMIT_TOLERANCE &&
+                        xi <= c->upper[speed] + LIMIT_TOLERANCE &&
+                        xi >= c->lower[speed] - LIMIT_TOLERANCE);
+        }
+    }
+    return broken;
+}
+
 /* The QP with its inequalities. */
 static gtmr_status constrained_step(gtmr_controller *c, const double *dx0, double *slack)
 {
@@ -221,6 +241,9 @@ static gtmr_status constrained_step(gtmr_controller *c, const double *dx0, doubl
         return GTMR_FAILED;
     }
     riccati_rollout(c, dx0, c->v);
+    if (breaks_rotor_limits(c)) {
+        return GTMR_FAILED;
+    }
     for (int i = 0; i < STAGES; ++i) {
         slack[i + 1] = planned_slack(c, row_of(i, CLEARANCE));
         status = slack[i + 1] > 0.0 ? GTMR_SOFTENED : status;
