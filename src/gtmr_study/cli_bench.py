@@ -56,7 +56,7 @@ def bench_command(
                 f"{phases['step']['median'] / nominal:.2f}",
             )
     console.print(result["machine"])
-    console.print("Step of the controller, called from Python [ms]")
+    console.print("Step of the controller, called from Python [ms]", markup=False)
     console.print(table)
     if rival_steps:
         rivals = _table("median", "max", "ratio", "cost gap")
@@ -72,7 +72,7 @@ def bench_command(
                     f"{figure['ratio']:.0f}",
                     f"{figure['cost_gap']:.1e}",
                 )
-        console.print("Nominal step of general solvers [ms]")
+        console.print("Nominal step of general solvers [ms]", markup=False)
         console.print(rivals)
     write_json(json, result)
 
