@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Build gtmr for colcon and for pip alike; name, version and licence stand in package.xml."""
 
 from pathlib import Path

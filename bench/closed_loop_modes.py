@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Print the slowest modes of the closed loop for several attitude weights (docs/level-flight.md).
 
 Run with ``python bench/closed_loop_modes.py``; takes about a minute.

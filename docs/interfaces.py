@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Writes docs/interfaces.md from the code: `.venv/bin/python docs/interfaces.py`."""
 
 from __future__ import annotations

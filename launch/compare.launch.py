@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The same flight twice, nominal and robust side by side: `ros2 launch gtmr compare.launch.py`.
 
 Every mode flies in a namespace of its own name; both go into one bag.

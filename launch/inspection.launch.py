@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Simulator, controller and monitor together: `ros2 launch gtmr inspection.launch.py`."""
 
 from launch import LaunchContext, LaunchDescription

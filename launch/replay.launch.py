@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A recorded flight for controller and monitor: `ros2 launch gtmr replay.launch.py bag:=...`.
 
 The controller answers the recorded odometry; what it commands moves nothing.

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Headless Chromium by its DevTools protocol: what a page draws, asks for and complains of."""
 
 from __future__ import annotations

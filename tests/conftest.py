@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Environment of all tests, set before any ROS library is loaded."""
 
 import os

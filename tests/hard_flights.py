@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Closed-loop flights in which many inequalities of the QP are active."""
 
 from __future__ import annotations

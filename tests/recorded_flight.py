@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Flights of real nodes that the real monitor recorded, each flown once in a test run."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A ROS graph of real processes, and a node in the test that looks on."""
 
 from __future__ import annotations

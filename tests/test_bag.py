@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What is written can be read by others; what is killed, cut or damaged can still be read."""
 
 import resource

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A campaign ends with the same results however it is cut up, killed, or where it runs."""
 
 import json

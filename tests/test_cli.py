@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The command line: results, and one clear line with exit code 2 for bad input."""
 
 import json

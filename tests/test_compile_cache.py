@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The cache of compiled code: shared between processes, trusted only as far as it deserves."""
 
 import json

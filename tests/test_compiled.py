@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The controller in C solves the same QPs as the one in NumPy, whose solver is exchanged too."""
 
 import os

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The controller as its users see it: warm start, mode switching, limits, refusals."""
 
 import numpy as np

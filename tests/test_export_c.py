@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The exported C controller: pedantic C99, and the same commands as from Python."""
 
 import shutil

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """50 s flights: no divergence, level, and the clearance as the paper tells it."""
 
 from concurrent.futures import ProcessPoolExecutor

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Whole flights in a graph of three processes: switched, sped up, slowed down, side by side."""
 
 import time

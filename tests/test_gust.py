@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Gusts: bounded, seeded, and with the statistics they claim."""
 
 import numpy as np

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the documentation says of topics, services and parameters is what the code has."""
 
 import re

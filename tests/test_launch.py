@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The launch files start what exists, with parameters that exist; `launch` itself is stubbed."""
 
 import runpy

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The live view of the demo: a page on loopback that draws what the nodes publish."""
 
 import io

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Others read our bags: the JavaScript library that Foxglove uses, and our report a torn one."""
 
 import hashlib

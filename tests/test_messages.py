@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Conversions between arrays and messages keep every number, in the right unit and frame."""
 
 import math

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Simulator and controller as processes in a real ROS graph."""
 
 from collections.abc import Iterator

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Parameters come from the configuration models, with unit and range; bad values are refused."""
 
 import pytest

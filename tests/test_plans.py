@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Plans visit the points they promise, and a trial is the same flight wherever it is flown."""
 
 import numpy as np

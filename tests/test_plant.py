@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The plant: accuracy against SciPy, limits, and its own parameters."""
 
 import numpy as np

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A replay gives what the node gave, and says what it had to guess."""
 
 import json

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A report says what the flights say, in one file that needs nothing else."""
 
 import json

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The reproduction sets ours beside the paper's, honestly, and its searches go on."""
 
 import json

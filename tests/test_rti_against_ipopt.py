@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """RTI iterated to convergence solves the NLP that the paper writes down."""
 
 import numpy as np

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Controller steps come T_s apart, by the stamps of the odometry."""
 
 import pytest

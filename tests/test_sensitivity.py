@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Pi and the margin gradient against finite differences, along a real flight."""
 
 import numpy as np

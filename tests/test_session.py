@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A flight waits for its controller, ends in time, and takes only commands that are its own."""
 
 import numpy as np

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The vehicle: allocation, hover, presets, and clear refusals."""
 
 import numpy as np

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The views show what the nodes publish: markers, transform, RViz and Foxglove configurations."""
 
 import json

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Physics and geometry that controller, plant and reports agree on; no ROS in here."""
 
 from gtmr_model.dynamics import dynamics

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """CasADi expressions written out as plain C99, several points a call."""
 
 from __future__ import annotations

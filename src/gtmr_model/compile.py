@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """C sources to a loaded shared library, through a cache that belongs to the user."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Equations of motion of the GTMR, eq. (3), once: symbolic, with a NumPy face."""
 
 from __future__ import annotations

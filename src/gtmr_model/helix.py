@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The inspection reference: a helix round the tower at the preferred offset, eq. (2)."""
 
 from __future__ import annotations

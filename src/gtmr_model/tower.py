@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The tower: a vertical cylinder on the z axis of the world frame (Sec. II-A)."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The structured uncertainty zeta, eq. (4), its box, and the gust bound (Sec. III)."""
 
 from __future__ import annotations

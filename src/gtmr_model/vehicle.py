@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The vehicle: rotors of any number, place, tilt and spin on a rigid body (Sec. II-B)."""
 
 from __future__ import annotations

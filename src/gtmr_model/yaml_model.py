@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Frozen, validated data with a YAML face: the base of every configuration in the suite."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a flight was like: residual statistics, bags, reports; the node watches and records."""
 
 from gtmr_monitor.bag import BagError

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What writing and reading a bag share: its message types and its errors."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """From the messages of a bag to a flight; needs no ROS."""
 
 from __future__ import annotations

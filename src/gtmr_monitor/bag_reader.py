@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Reading MCAP bags, whole or torn off, without ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Writing a rosbag2 folder that survives being killed: metadata.yaml (version 9) and MCAP."""
 
 from __future__ import annotations

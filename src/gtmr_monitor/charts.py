@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The figures in the browser: interactive, drawn by plotly."""
 
 from __future__ import annotations

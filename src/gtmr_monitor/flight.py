@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A recorded flight: what reports are made from."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the figures on paper and in the browser have in common: colours, labels, channels."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The monitor as a ROS 2 node: watches the clearance residual and records the flight."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The report of one or more flights: one self-contained HTML file, and the figures as PNG."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Statistics of the clearance residual s = d_min - d_T (Fig. 2, Table II) and of solve times."""
 
 from __future__ import annotations

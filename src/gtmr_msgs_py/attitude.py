@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Attitude as messages have it, a quaternion, and as the state has it: roll, pitch, yaw.
 
 All three forms turn vectors from the body frame (FLU) into the world frame (ENU), with

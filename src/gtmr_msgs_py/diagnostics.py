@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a node says of itself once a second, as diagnostic_msgs/DiagnosticArray."""
 
 from __future__ import annotations

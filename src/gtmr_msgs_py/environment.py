@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The environment in which the suite's nodes run as child processes on one machine."""
 
 from __future__ import annotations

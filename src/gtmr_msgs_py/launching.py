@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the launch files have in common; needs ``launch`` and ``launch_ros``."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What RViz and Foxglove draw, as visualization_msgs: tower, shells, vehicle and plan."""
 
 from __future__ import annotations

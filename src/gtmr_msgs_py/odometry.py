@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Position, attitude, velocity and body rates as nav_msgs/Odometry.
 
 The state has its velocity in the world frame, the message in the child frame: it is rotated here

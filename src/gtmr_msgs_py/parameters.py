@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """ROS parameters declared from a configuration model: one field, one parameter, no boilerplate.
 
 Nested models become dotted names. Description, unit, range and choices come from the field; what

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Paths through space as nav_msgs/Path."""
 
 from __future__ import annotations

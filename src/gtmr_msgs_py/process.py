@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A node as a process: start, spin, end without a traceback."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Rotor speeds as sensor_msgs/JointState: Hz in the state, rad/s in the message."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The time of one controller step as std_msgs/Float64."""
 
 from __future__ import annotations

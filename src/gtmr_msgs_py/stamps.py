@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Time in messages: whole nanoseconds, so that nothing drifts, and seconds for the equations."""
 
 from __future__ import annotations

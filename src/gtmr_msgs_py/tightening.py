@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The margins of a controller step, stage by stage, as std_msgs/Float64MultiArray."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The topics and services of the suite: names, types, quality of service, who talks to whom.
 
 Names are relative, so that namespaces and remaps work; only what ROS itself fixes is absolute.

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Where the vehicle is, as the transform from `map` to `base_link` that tf2 spreads.
 
 ``tf2_msgs`` comes with an installed ROS 2 and not with the wheels on PyPI: without it there is no

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The C sources of one problem: its dimensions and model, generated; the rest as written."""
 
 from __future__ import annotations

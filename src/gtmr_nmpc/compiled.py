@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The real-time iteration in C: the sources under ``c/``, compiled for one problem."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Everything that defines the controller's problem, with the defaults' sources."""
 
 from __future__ import annotations

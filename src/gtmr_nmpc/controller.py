@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The controller: a state in, a plan out; keeps the warm start from step to step."""
 
 from __future__ import annotations

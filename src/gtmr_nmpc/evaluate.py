@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """CasADi functions on NumPy memory, without a conversion per call."""
 
 from __future__ import annotations

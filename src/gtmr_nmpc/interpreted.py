@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The real-time iteration on CasADi's virtual machine: no compiler needed, same answers."""
 
 from __future__ import annotations

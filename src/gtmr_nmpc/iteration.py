@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a controller needs of a real-time iteration that keeps its iterate to itself."""
 
 from __future__ import annotations

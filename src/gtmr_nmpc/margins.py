@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The clearance constraint and its tightening: eq. (9), (12), (13)."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The controller as a ROS 2 node: odometry and rotor speeds in, the whole plan out."""
 
 from __future__ import annotations

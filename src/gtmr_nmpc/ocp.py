@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The nominal optimal control problem, eq. (5) and (6): discretisation, outputs, reference."""
 
 from __future__ import annotations

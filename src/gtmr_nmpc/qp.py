@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The condensed QP: hard limits on the rotors, an exact penalty on the clearance."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """One Gauss-Newton iteration of the OCP, split into preparation and feedback (Sec. V).
 
 Preparation linearises, propagates sensitivities and condenses along the current iterate, before

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """When a controller step is due, by the stamps of the odometry rather than by any clock."""
 
 from __future__ import annotations

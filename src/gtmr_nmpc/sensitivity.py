@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Parametric sensitivities Pi = dx/dzeta along a plan, eq. (7) and (8)."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The plant with mismatch and gusts, and flights without ROS."""
 
 from gtmr_sim.flight import FlightLog, fly

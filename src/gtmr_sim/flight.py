@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A closed-loop flight in one process, without ROS; the controller is handed in."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Gust forces w_g(t): bounded, seeded, one sample per hold period (Sec. III)."""
 
 from __future__ import annotations

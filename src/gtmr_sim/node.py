@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The simulator as a ROS 2 node: plays the plan, publishes odometry, rotor speeds and time."""
 
 from __future__ import annotations

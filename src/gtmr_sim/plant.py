@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The true vehicle: eq. (3) with the true zeta, a fine integration step and actuator limits."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a simulated flight is made of: the world, the true parameters, the gusts, the seed."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A flight as other processes see it: it waits, flies, pauses, and ends."""
 
 from __future__ import annotations

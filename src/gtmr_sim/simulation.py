@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The simulated world between two instants: the plant, its gusts and the plan it plays."""
 
 from __future__ import annotations

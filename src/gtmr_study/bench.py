@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Time per controller step, and what a user would pick instead on the same steps.
 
 Every contender gets the same recorded states, in the same order, with its own warm start. The

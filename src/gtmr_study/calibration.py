@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Search what the paper leaves out for the values that come closest to its results."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A Monte-Carlo campaign from start, or from where it was interrupted, to its summary."""
 
 from __future__ import annotations

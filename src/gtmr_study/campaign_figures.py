@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The figures of a campaign: what its trials say, drawn."""
 
 from __future__ import annotations
@@ -103,8 +106,8 @@ def draw_boxes(axes: Any, boxes: list[dict[str, float]], colours: list[str]) -> 
             line.set(color=colour)
     axes.axhline(0.0, color=look.LIMIT, linestyle=(0, (4, 2)), linewidth=1.2)
     axes.annotate(
-        "violated above 0", (0.0, 0.0), (3.0, 3.0), xycoords=("axes fraction", "data"),
-        textcoords="offset points", fontsize=8,
+        "violated above 0", (1.0, 0.0), (0.0, 3.0), xycoords=("axes fraction", "data"),
+        textcoords="offset points", ha="right", fontsize=8,
     )  # fmt: skip
     highest = max(0.0, *(box["max"] for box in boxes))
     axes.set_ylim(top=max(highest + 0.03, 0.04))

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The report of campaigns: one HTML page that needs nothing else."""
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ CAPTIONS = {
 }
 """Explanation of every figure."""
 
-_SVG_STYLE = "figure svg { max-width: 100%; height: auto; }"
+_SVG_STYLE = "figure svg { max-width: 100%; height: auto; } tbody th { white-space: nowrap; }"
 
 Value = Callable[[dict[str, Any]], str]
 

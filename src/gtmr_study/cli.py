@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The command line ``gtmr``: one command a job, bad input in one line with exit code 2."""
 
 from __future__ import annotations

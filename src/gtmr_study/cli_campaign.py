@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Commands of the Monte-Carlo studies: ``gtmr campaign``, ``reproduce``, ``calibrate``."""
 
 from __future__ import annotations

@@ -1,11 +1,16 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Commands that use a bag again: ``gtmr replay`` and ``gtmr play``."""
 
 from __future__ import annotations
 
+import signal
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -139,16 +144,23 @@ def play_command(
         f"Playing {', '.join(sorted(playlist.types))}: {playlist.duration_s:.1f} s at "
         f"{rate:g} times the recorded speed; Ctrl-C ends it."
     )
+    # The usual end of a playback.
+    stop = Event()
+    before = signal.signal(signal.SIGINT, lambda *_: stop.set())
     try:
         with _progress() as progress, warnings.catch_warnings():
             warnings.simplefilter("ignore", TruncatedBagWarning)
             task = progress.add_task("play", total=playlist.duration_s)
             notes = play(
-                playlist, rate, loop, wait, lambda into_s: progress.update(task, completed=into_s)
+                playlist,
+                rate,
+                loop,
+                wait,
+                lambda into_s: progress.update(task, completed=into_s),
+                stop,
             )
-    except KeyboardInterrupt:
-        # The usual end of a playback.
-        return
+    finally:
+        signal.signal(signal.SIGINT, before)
     for note in notes:
         errors.print(f"gtmr: {note}")
 

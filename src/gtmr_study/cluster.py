@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Dask: workers on this machine or on a cluster, fed with chunks, results as they come."""
 
 from __future__ import annotations

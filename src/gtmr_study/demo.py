@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The demo: simulator, controller and monitor as processes of a real ROS graph, once a mode."""
 
 from __future__ import annotations

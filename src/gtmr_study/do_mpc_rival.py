@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The nominal problem in do-mpc, as a user of that library would state it."""
 
 from __future__ import annotations

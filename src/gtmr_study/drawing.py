@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How figures of studies look: matplotlib without global state; as PNG, PDF and inline SVG."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The controller as plain C99, for use without Python: sources, parameters, a build, a replay."""
 
 from __future__ import annotations

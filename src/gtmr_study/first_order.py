@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How good is first order? True clearance perturbations of flown plans against the margins."""
 
 from __future__ import annotations

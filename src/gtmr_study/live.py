@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The live view of the demo: takes what the nodes publish and shows it on a page."""
 
 from __future__ import annotations

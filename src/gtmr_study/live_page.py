@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The page of the live view: visualization markers in space, the residual, and how it goes.
 
 It is served by viser, which is needed for this alone: ``pip install 'gtmr[live]'``.

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the live view says in words and numbers, as HTML."""
 
 from __future__ import annotations

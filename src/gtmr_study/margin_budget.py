@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How large the tightening is, by channel, and how large the paper's robust row would need it."""
 
 from __future__ import annotations

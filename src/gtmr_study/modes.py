@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Modes of the closed loop along the helix: which motions decay, and how fast."""
 
 from __future__ import annotations

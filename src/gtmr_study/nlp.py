@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The OCP written down as a nonlinear program, for general solvers.
 
 It shares only the equations of motion with the controller: cost, shooting and constraints are

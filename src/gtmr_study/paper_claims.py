@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the paper reports (Table II, Fig. 2), and how far a campaign is from it."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Table II, Fig. 1 and Fig. 2 of the paper, each with the paper's own values beside ours."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Plans of a campaign: which true mismatches zeta its trials fly with."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Publishes a bag with its own timing and /clock, where there is no rosbag2."""
 
 from __future__ import annotations
@@ -9,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from threading import Event
 
 import rclpy
 from rclpy.context import Context
@@ -103,6 +107,7 @@ def play(
     loop: bool = False,
     wait_s: float = WAIT_S,
     on_progress: OnProgress | None = None,
+    stop: Event | None = None,
 ) -> list[str]:
     """Publish the messages of a bag at the intervals at which they were recorded.
 
@@ -121,6 +126,9 @@ def play(
         How long to wait until somebody listens to odometry and rotor speeds, at most [s].
     on_progress : callable, optional
         Called while playing.
+    stop : threading.Event, optional
+        Ends the playback when it is set. A KeyboardInterrupt would do so too, but is lost where
+        it falls into a callback from C.
 
     Returns
     -------
@@ -132,6 +140,7 @@ def play(
     BagError
         If a message type of the playlist is not installed.
     """
+    stop = stop if stop is not None else Event()
     messages = {name: _message_class(playlist, kind) for name, kind in playlist.types.items()}
     with _node() as node:
         publishers = {
@@ -144,12 +153,12 @@ def play(
         needed = (topics.ODOM.type_name, topics.ROTOR_STATES.type_name)
         awaited = [publishers[name] for name, kind in playlist.types.items() if kind in needed]
         notes = []
-        unheard = _wait_for_listeners(awaited, wait_s)
+        unheard = _wait_for_listeners(awaited, wait_s, stop)
         if unheard:
             notes.append(f"nobody listened at the start to {', '.join(unheard)}")
         while True:
-            _play_once(playlist, publishers, clock, rate, on_progress)
-            if not loop:
+            _play_once(playlist, publishers, clock, rate, on_progress, stop)
+            if not loop or stop.is_set():
                 break
         for publisher in publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=DELIVERY_TIMEOUT_S))
@@ -193,14 +202,13 @@ def _node() -> Iterator[Node]:
         rclpy.shutdown(context=context)
 
 
-def _wait_for_listeners(publishers: list[Publisher], wait_s: float) -> list[str]:
+def _wait_for_listeners(publishers: list[Publisher], wait_s: float, stop: Event) -> list[str]:
     """Wait until all topics are listened to; name those that are not in the end."""
     deadline = time.monotonic() + wait_s
     while True:
         unheard = [p.topic_name for p in publishers if p.get_subscription_count() == 0]
-        if not unheard or time.monotonic() > deadline:
+        if not unheard or time.monotonic() > deadline or stop.wait(POLL_S):
             return unheard
-        time.sleep(POLL_S)
 
 
 def _play_once(
@@ -209,11 +217,13 @@ def _play_once(
     clock: Publisher | None,
     rate: float,
     on_progress: OnProgress | None,
+    stop: Event,
 ) -> None:
     begin = time.monotonic()
     for message in playlist.messages():
         into_s = stamps.seconds(message.log_time_ns - playlist.start_ns)
-        time.sleep(max(0.0, begin + into_s / rate - time.monotonic()))
+        if stop.wait(max(0.0, begin + into_s / rate - time.monotonic())):
+            return
         if clock is not None:
             clock.publish(Clock(clock=stamps.encode(message.log_time_ns)))
         publishers[message.topic].publish(message.data)

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Reproduce the paper: its campaign, Table II, Fig. 1, Fig. 2, and what lies behind them."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Where results go: nothing that exists is overwritten, and no half-written file is left."""
 
 from __future__ import annotations

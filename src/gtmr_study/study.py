@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A study in one file: who flies, against which uncertainty, how often, by which plan."""
 
 from __future__ import annotations

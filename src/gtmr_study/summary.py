@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The figures of a campaign, each from trials.csv alone (Table II, Fig. 2)."""
 
 from __future__ import annotations

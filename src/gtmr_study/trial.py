@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """One trial in one mode: a flight boiled down to a row of trials.csv."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The folder of a campaign: what it is of, and one row per flown trial, safe against kill -9."""
 
 from __future__ import annotations

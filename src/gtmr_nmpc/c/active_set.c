@@ -1,3 +1,5 @@
+/* Copyright 2026 the gtmr authors
+ * SPDX-License-Identifier: Apache-2.0 */
 /*
  * Dual active-set method (Goldfarb and Idnani) for |v|^2 / 2 with rows between bounds.
  *

@@ -1,3 +1,5 @@
+/* Copyright 2026 the gtmr authors
+ * SPDX-License-Identifier: Apache-2.0 */
 /* Linear combinations of rows, out[r] += sum_k coefficient(r, k) in[k], held in registers. */
 #ifndef GTMR_COMBINE_H
 #define GTMR_COMBINE_H

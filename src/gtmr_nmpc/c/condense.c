@@ -1,3 +1,5 @@
+/* Copyright 2026 the gtmr authors
+ * SPDX-License-Identifier: Apache-2.0 */
 /* The inequalities of all stages as rows in v, in which the cost is |v|^2 / 2. */
 #include <string.h>
 

@@ -1,3 +1,5 @@
+/* Copyright 2026 the gtmr authors
+ * SPDX-License-Identifier: Apache-2.0 */
 /* The two phases of a step, and the warm start between steps. */
 #include <string.h>
 

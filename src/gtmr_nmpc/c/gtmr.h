@@ -1,3 +1,5 @@
+/* Copyright 2026 the gtmr authors
+ * SPDX-License-Identifier: Apache-2.0 */
 /*
  * The controller of one problem: nominal or robust NMPC in real-time iteration.
  *

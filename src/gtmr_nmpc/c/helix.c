@@ -1,3 +1,5 @@
+/* Copyright 2026 the gtmr authors
+ * SPDX-License-Identifier: Apache-2.0 */
 /* The inspection reference: a helix round the tower, eq. (2). */
 #include "workspace.h"
 

@@ -1,3 +1,5 @@
+/* Copyright 2026 the gtmr authors
+ * SPDX-License-Identifier: Apache-2.0 */
 /* Dynamics and cost along the iterate, as many shooting intervals at once as a register holds. */
 #include <string.h>
 

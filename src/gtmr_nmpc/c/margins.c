@@ -1,3 +1,5 @@
+/* Copyright 2026 the gtmr authors
+ * SPDX-License-Identifier: Apache-2.0 */
 /* The clearance constraint along the iterate and its tightening: eq. (8), (9), (12), (13). */
 #include <string.h>
 

@@ -1,3 +1,5 @@
+/* Copyright 2026 the gtmr authors
+ * SPDX-License-Identifier: Apache-2.0 */
 /*
  * The QP without its inequalities, solved by Riccati recursion.
  *

@@ -1,3 +1,5 @@
+/* Copyright 2026 the gtmr authors
+ * SPDX-License-Identifier: Apache-2.0 */
 /* Rows of doubles: one register at a time where the compiler has vectors, one number where not. */
 #ifndef GTMR_VEC_H
 #define GTMR_VEC_H

@@ -1,3 +1,5 @@
+/* Copyright 2026 the gtmr authors
+ * SPDX-License-Identifier: Apache-2.0 */
 /* The memory of a controller, and its parts that share it. */
 #ifndef GTMR_WORKSPACE_H
 #define GTMR_WORKSPACE_H

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Feeds a recorded flight to the controller again, and compares what it commands."""
 
 from gtmr_study.replay.recording import Recording, read_recording

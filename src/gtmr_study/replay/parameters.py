@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The controller's parameters as a bag tells them, from moment to moment."""
 
 from __future__ import annotations

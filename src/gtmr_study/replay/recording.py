@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a bag tells a replay: states, commands, margins, plans, and when parameters changed."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a replay gave: its steps, their comparison with what was recorded, flights for a report."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The rotor speeds of a recorded flight: measured, or else from the best source there is."""
 
 from __future__ import annotations

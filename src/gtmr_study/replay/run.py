@@ -1,3 +1,6 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Runs the controller on what a bag recorded, step by step as the node ran it."""
 
 from __future__ import annotations
