@@ -15,6 +15,8 @@ from gtmr_sim import Scenario, Simulation
 
 FLIGHT_S = 10.0
 """Length of the recorded flight that the replay is checked against [s]."""
+TOO_CLOSE_M = 0.25
+"""By how much this flight starts closer to the tower than its helix [m]."""
 
 CMAKE = """\
 cmake_minimum_required(VERSION 3.16)
@@ -71,14 +73,18 @@ int main(int argc, char **argv)
     double row[COLUMNS], worst = 0.0;
     const double *x = row + 2, *u = x + N_X;
     int steps = 0, rotor;
-    gtmr_controller *controller =
-        gtmr_create(memory + (64 - (uintptr_t)memory % 64) % 64, &gtmr_problem);
+    gtmr_controller *controller;
     FILE *file = argc == 2 ? fopen(argv[1], "r") : NULL;
 
     if (file == NULL) {
         fprintf(stderr, "usage: replay flight.csv\n");
         return 2;
     }
+    if (gtmr_size() > GTMR_MEMORY_BYTES) {
+        fprintf(stderr, "GTMR_MEMORY_BYTES: at least %lu\n", (unsigned long)gtmr_size());
+        return 2;
+    }
+    controller = gtmr_create(memory + (64 - (uintptr_t)memory % 64) % 64, &gtmr_problem);
     for (; read_row(file, row); steps++) {
         if (steps == 0)
             gtmr_cold(controller, x);
@@ -152,7 +158,8 @@ def _parameters_header(config: ControllerConfig) -> str:
 
 #define GTMR_STAGES {config.horizon}
 #define GTMR_ROTORS {config.vehicle.n_rotors}
-#define GTMR_MEMORY_BYTES {memory}
+/* Enough for vector registers of any width; gtmr_size() says how much it is with this compiler. */
+#define GTMR_MEMORY_BYTES {memory + memory // 2}
 #define GTMR_PLAN_LENGTH {plan}
 
 static const gtmr_parameters gtmr_problem = {{
@@ -170,7 +177,10 @@ def _literal(value: object) -> str:
 
 
 def _flight(config: ControllerConfig, mode: Mode) -> str:
-    """Record states and commands of a flight under wind, which makes the clearance active."""
+    """Record a flight from a start too close to the tower, under wind towards it.
+
+    Rotor limits, clearance and slacks are active in it, at first all of them.
+    """
     zeta = (*(0.0,) * 6, *(0.7 * bound for bound in config.uncertainty.wind_bias_n))
     scenario = Scenario(
         vehicle=config.vehicle,
@@ -180,6 +190,9 @@ def _flight(config: ControllerConfig, mode: Mode) -> str:
         zeta=zeta,
     )
     simulation = Simulation(scenario, config.sampling_time_s)
+    start = simulation.x
+    start[:2] *= 1.0 - TOO_CLOSE_M / np.hypot(*start[:2])
+    simulation.plant.x = start
     controller = Controller(config, mode, CompiledIteration(config))
     rows = []
     for _ in range(round(FLIGHT_S / config.sampling_time_s)):

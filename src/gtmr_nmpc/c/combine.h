@@ -71,10 +71,18 @@ static inline void combine(int rows, int columns, int terms, coefficients by, co
         by.at += TILE_ROWS * by.row;
         out += TILE_ROWS * ld_out;
     }
-    for (; r < rows; ++r) {
+    switch (rows - r) {
+    case 3:
+        combine_rows(3, columns, terms, by, in, ld_in, out, ld_out);
+        break;
+    case 2:
+        combine_rows(2, columns, terms, by, in, ld_in, out, ld_out);
+        break;
+    case 1:
         combine_rows(1, columns, terms, by, in, ld_in, out, ld_out);
-        by.at += by.row;
-        out += ld_out;
+        break;
+    default:
+        break;
     }
 }
 

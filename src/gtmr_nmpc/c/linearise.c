@@ -34,6 +34,7 @@ static void take(gtmr_controller *c, int stage, int which)
     interval *to = &c->intervals[stage];
     const double *x = c->x[stage], *x_planned = c->x[stage + 1];
     const double *from = lane(c->lanes_out, 0, which);
+    double *jacobian = &to->jacobian[0][0], *dF_dzeta = &to->dF_dzeta[0][0];
     for (int j = 0; j < BODY; ++j, from += VEC) {
         to->defect[j] = *from - x_planned[j];
     }
@@ -44,11 +45,11 @@ static void take(gtmr_controller *c, int stage, int which)
         to->acceleration[j] = *from;
     }
     for (int j = 0; j < JACOBIAN_NONZEROS; ++j, from += VEC) {
-        to->jacobian[0][JACOBIAN_AT[j]] = *from;
+        jacobian[JACOBIAN_AT[j]] = *from;
     }
     if (is_robust(c)) {
         for (int j = 0; j < DF_DZETA_NONZEROS; ++j, from += VEC) {
-            to->dF_dzeta[0][DF_DZETA_AT[j]] = *from;
+            dF_dzeta[DF_DZETA_AT[j]] = *from;
         }
     }
 }

@@ -15,11 +15,13 @@
 #else
 #define VEC 2
 #endif
-/* Aligned as its entries: rows of triangular blocks start anywhere. */
-typedef double vec __attribute__((vector_size(8 * VEC), aligned(8), may_alias));
+typedef double vec __attribute__((vector_size(8 * VEC), may_alias));
+/* As it stands in a row, which may start anywhere. For memory alone: a variable of this type may
+ * leave the stack less aligned than GCC 12 takes it to be. */
+typedef double vec_in_row __attribute__((vector_size(8 * VEC), aligned(8), may_alias));
 #else
 #define VEC 1
-typedef double vec;
+typedef double vec, vec_in_row;
 #endif
 
 /* Length of a row of n doubles, filled up to whole registers. */
@@ -32,12 +34,12 @@ static inline vec vec_of(double a)
 
 static inline vec load(const double *row)
 {
-    return *(const vec *)row;
+    return *(const vec_in_row *)row;
 }
 
 static inline void store(double *row, vec a)
 {
-    *(vec *)row = a;
+    *(vec_in_row *)row = a;
 }
 
 /* Halves are added to each other, which is the shortest chain of additions. */
@@ -46,11 +48,11 @@ static inline double sum(vec a)
 #if VEC == 1
     return a;
 #else
-    typedef double pair __attribute__((vector_size(16), aligned(8), may_alias));
+    typedef double pair __attribute__((vector_size(16), may_alias));
     const pair *pairs = (const pair *)&a;
     pair total = pairs[0];
 #if VEC == 8
-    typedef double four __attribute__((vector_size(32), aligned(8), may_alias));
+    typedef double four __attribute__((vector_size(32), may_alias));
     const four *fours = (const four *)&a;
     const four both = fours[0] + fours[1];
     pairs = (const pair *)&both;

@@ -59,6 +59,7 @@ typedef struct {
     double scale;  /* 1 / norm of the row */
     double cap;    /* multiplier above which a slack opens, infinite if never */
     double lambda; /* multiplier, not negative */
+    double excess; /* of its value over its bound, less what its slack takes up */
 } active_row;
 
 /*
@@ -67,6 +68,7 @@ typedef struct {
  */
 typedef struct {
     int count;
+    int settled; /* so many rows, from the first on, hold with equality */
     active_row member[MAX_ACTIVE];
     double factor[MAX_ACTIVE][LD_ACTIVE];
     double inverse_diagonal[MAX_ACTIVE];
@@ -123,6 +125,27 @@ void riccati_rollout(gtmr_controller *c, const double *dx0, const double *v);
 
 /* condense.c: the rows of the inequalities in v. */
 void condense(gtmr_controller *c);
+
+/* working_set.c */
+
+/* A row's product with v, scaled, on its side of the bound. */
+double along(const gtmr_controller *c, const active_row *a, const double *v);
+
+void add_row(const gtmr_controller *c, const active_row *a, double factor, double *v);
+
+/* What a soft row adds to the diagonal of the Gram matrix: slack per multiplier. */
+double compliance(const gtmr_controller *c, const active_row *a);
+
+/*
+ * Extend the factor by a row; 0 if it depends on the others, or may, and is not `needed`. w gets
+ * L^-1 times its Gram row if it is needed.
+ */
+int working_set_append(gtmr_controller *c, const active_row *row, int needed, double *w);
+active_row working_set_remove(gtmr_controller *c, int at);
+
+/* Solve L y = y and L' y = y for the factor L; y is LD_ACTIVE long. */
+void working_set_forward(const working_set *set, double *y);
+void working_set_backward(const working_set *set, double *y);
 
 /* active_set.c: 0 if solved. */
 int active_set_solve(gtmr_controller *c);
