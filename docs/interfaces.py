@@ -11,7 +11,7 @@ from pathlib import Path
 
 from gtmr_monitor.node import MonitorNode, MonitorParameters
 from gtmr_msgs_py import topics
-from gtmr_msgs_py.parameters import Declaration, declarations
+from gtmr_msgs_py.declarations import Declaration, declarations
 from gtmr_nmpc.node import NmpcNode, NmpcParameters
 from gtmr_sim.node import SimNode, SimParameters
 

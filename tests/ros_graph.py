@@ -30,6 +30,8 @@ from gtmr_nmpc import Controller
 
 SOURCES = Path(__file__).parents[1] / "src"
 DEADLINE_S = 20.0
+END_S = 5.0
+"""How long a process may take to end by itself when its test is over."""
 DOMAINS = range(1, 102)
 """Those whose ports are free on every Linux."""
 
@@ -91,10 +93,14 @@ class NodeProcess:
         self.process.send_signal(signal.SIGINT)
         return self.wait()
 
-    def kill(self) -> None:
-        """End the process, whatever state it is in."""
-        self.process.kill()
-        self.process.wait()
+    def end(self) -> None:
+        """Wait for a process that was told to end, and forget it."""
+        try:
+            self.process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        self._output.close()
 
 
 class RosGraph:
@@ -116,11 +122,14 @@ class RosGraph:
         return self
 
     def __exit__(self, *_: object) -> None:
+        # Killed outright, a node would leave its shared memory behind on this machine for good.
         for process in self._processes:
-            process.kill()
+            process.process.send_signal(signal.SIGINT)
         self.node.destroy_node()
         self._executor.shutdown()
         rclpy.shutdown(context=self._context)
+        for process in self._processes:
+            process.end()
         self._claim.close()
 
     def start(

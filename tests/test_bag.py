@@ -277,19 +277,18 @@ while True:
 
 @pytest.mark.parametrize("rate_hz", [40, 200])
 def test_killed_it_loses_less_than_a_second(tmp_path, rate_hz):
-    writer = subprocess.Popen(
+    written = 0
+    with subprocess.Popen(
         [sys.executable, "-c", WRITE_FOR_EVER, tmp_path, str(rate_hz), WRITTEN[0][1].hex()],
         stdout=subprocess.PIPE,
         text=True,
-    )
-    written = 0
-    for line in writer.stdout:
-        written = int(line) + 1
-        if written >= 1.9 * rate_hz:
-            writer.send_signal(signal.SIGKILL)
-            break
-    written += len(writer.stdout.readlines())
-    writer.wait(timeout=10)
+    ) as writer:
+        for line in writer.stdout:
+            written = int(line) + 1
+            if written >= 1.9 * rate_hz:
+                writer.send_signal(signal.SIGKILL)
+                break
+        written += len(writer.stdout.readlines())
 
     with pytest.warns(TruncatedBagWarning):
         kept = [m.log_time_ns for m in read_messages(tmp_path)]

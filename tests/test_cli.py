@@ -4,28 +4,16 @@
 """The command line: results, and one clear line with exit code 2 for bad input."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-
-
-def gtmr(*arguments, cwd=None):
-    return subprocess.run(
-        [sys.executable, "-m", "gtmr_study.cli", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        cwd=cwd,
-        check=False,
-    )
+from command_line import gtmr_process
 
 
 def test_fly_writes_what_it_prints(tmp_path):
     zeta = [0.05, 0, 0, 0, -0.05, 0, 0.6, 0.4, 0]
     npz, out = tmp_path / "flight.npz", tmp_path / "flight.json"
-    run = gtmr(
+    run = gtmr_process(
         *("fly", "--mode", "nominal", "--seed", 3, "--duration", 1, "--gust", "dryden"),
         *("--zeta", *zeta, "--out", npz, "--json", out),
     )
@@ -39,13 +27,12 @@ def test_fly_writes_what_it_prints(tmp_path):
     assert f"{result['min_clearance_m']:.3f}" in run.stdout
 
 
-def test_fly_sample_draws_zeta_by_the_seed(tmp_path):
+def test_fly_sample_draws_zeta_by_the_seed(tmp_path, gtmr):
     drawn = []
     for name in ("a", "b"):
         out = tmp_path / f"{name}.json"
-        assert (
-            gtmr("fly", "--sample", "--seed", 4, "--duration", 0.1, "--json", out).returncode == 0
-        )
+        run = gtmr("fly", "--sample", "--seed", 4, "--duration", 0.1, "--json", out)
+        assert run.returncode == 0, run.stderr
         drawn.append(json.loads(out.read_text())["zeta"])
     assert drawn[0] == drawn[1]
     assert any(drawn[0])
@@ -80,42 +67,35 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_gets_one_clear_line(case, tmp_path):
+def test_bad_input_gets_one_clear_line(case, tmp_path, monkeypatch, refused):
     arguments, named = BAD[case]
-    run = gtmr(*arguments, cwd=tmp_path)
-    assert run.returncode == 2
-    assert named in run.stderr
-    assert run.stderr.count("\n") == 1
-    assert run.stdout == ""
+    monkeypatch.chdir(tmp_path)
+    assert named in refused(*arguments)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_vehicle_file_with_a_wrong_field_names_it(tmp_path):
+def test_vehicle_file_with_a_wrong_field_names_it(tmp_path, refused):
     path = tmp_path / "mine.yaml"
     path.write_text("mass_kg: heavy\n")
-    run = gtmr("fly", "--vehicle", path)
-    assert run.returncode == 2
-    assert "mass_kg = 'heavy'" in run.stderr
-    assert "rotors is missing" in run.stderr
-    assert run.stderr.count("\n") == 1
+    said = refused("fly", "--vehicle", path)
+    assert "mass_kg = 'heavy'" in said
+    assert "rotors is missing" in said
 
 
-def test_nothing_is_overwritten(tmp_path):
+def test_nothing_is_overwritten(tmp_path, refused):
     npz, folder = tmp_path / "flight.npz", tmp_path / "demo"
     folder.mkdir()
     (folder / "notes.txt").write_text("keep me")
     npz.write_text("keep me")
     for arguments in (["fly", "--out", npz], ["demo", "--out", folder]):
-        run = gtmr(*arguments)
-        assert run.returncode == 2
-        assert "not overwritten" in run.stderr
+        assert "not overwritten" in refused(*arguments)
     assert npz.read_text() == (folder / "notes.txt").read_text() == "keep me"
 
 
-def test_report_of_what_is_no_bag(tmp_path):
+def test_report_of_what_is_no_bag_ends_the_process_with_one_line(tmp_path):
     path = tmp_path / "flight.mcap"
     path.write_text("not a bag")
-    run = gtmr("report", path, cwd=tmp_path)
+    run = gtmr_process("report", path, cwd=tmp_path)
     assert run.returncode == 2
     assert "flight.mcap" in run.stderr
     assert run.stderr.count("\n") == 1

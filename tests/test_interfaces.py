@@ -16,7 +16,8 @@ from rclpy.node import Node
 from gtmr_model import YamlModel
 from gtmr_monitor.node import MonitorNode, MonitorParameters
 from gtmr_msgs_py import topics
-from gtmr_msgs_py.parameters import ModelParameters, declarations
+from gtmr_msgs_py.declarations import declarations
+from gtmr_msgs_py.parameters import ModelParameters
 from gtmr_nmpc.node import NmpcNode, NmpcParameters
 from gtmr_sim.node import SimNode, SimParameters
 

@@ -11,7 +11,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 from gtmr_monitor.node import MonitorNode, MonitorParameters
-from gtmr_msgs_py.parameters import declarations
+from gtmr_msgs_py.declarations import declarations
 from gtmr_nmpc.node import NmpcNode, NmpcParameters
 from gtmr_sim.node import SimNode, SimParameters
 

@@ -7,7 +7,6 @@ import hashlib
 import json
 import shutil
 import subprocess
-import sys
 from collections import defaultdict
 
 import pytest
@@ -136,7 +135,7 @@ def test_mcap_core_reads_every_message_by_index_and_as_a_stream(script):
     assert set(read["indexed"]["schemas"]) == {"ros2msg"}
 
 
-def test_a_report_of_a_torn_copy_tells_all_up_to_its_last_whole_chunk(tmp_path):
+def test_a_report_of_a_torn_copy_tells_all_up_to_its_last_whole_chunk(tmp_path, gtmr):
     (path,) = bag_files(recorded("lockstep"))
     whole = path.read_bytes()
     with path.open("rb") as stream:
@@ -149,10 +148,7 @@ def test_a_report_of_a_torn_copy_tells_all_up_to_its_last_whole_chunk(tmp_path):
     odometry = [m.decode().header.stamp for m in kept if m.topic == "/odom"]
     samples = len({(stamp.sec, stamp.nanosec) for stamp in odometry})
 
-    run = subprocess.run(
-        [sys.executable, "-m", "gtmr_study.cli", "report", torn, "--out", tmp_path / "torn.html"],
-        capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
+    run = gtmr("report", torn, "--out", tmp_path / "torn.html")
     assert run.returncode == 0, run.stderr
     assert f"{torn}: the bag has no end; read up to its last whole chunk" in run.stderr
     text = (tmp_path / "torn.html").read_text(encoding="utf-8")

@@ -10,7 +10,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from gtmr_model import ConfigError
-from gtmr_msgs_py.parameters import ModelParameters, declarations
+from gtmr_msgs_py.declarations import declarations
+from gtmr_msgs_py.parameters import ModelParameters
 from gtmr_nmpc.node import NmpcParameters
 from gtmr_sim.node import SimParameters
 

@@ -198,20 +198,16 @@ def test_a_bag_with_odometry_only_makes_a_report_too(tmp_path):
     assert all(p.is_file() for p in figures)
 
 
-def test_a_switch_of_the_mode_is_shown(tmp_path):
+def test_a_switch_of_the_mode_is_shown_and_names_are_written_as_text(tmp_path):
     switched = replace(ROBUST, modes=((0.0, "nominal"), (5.0, "robust")))
-
-    html, *_ = write_report([switched], tmp_path / "report.html")
-
-    assert "nominal → robust" in html.read_text(encoding="utf-8")
-
-
-def test_names_are_written_as_text(tmp_path):
     odd = replace(ROBUST, name="<script>x</script>", modes=())
 
-    html, *_ = write_report([odd], tmp_path / "report.html")
+    html, *_ = write_report([switched, odd], tmp_path / "report.html")
 
-    assert "<script>x" not in html.read_text(encoding="utf-8").replace(r"\u003cscript", "")
+    text = html.read_text(encoding="utf-8")
+    assert "nominal → robust" in text
+    assert "&lt;script&gt;x" in text
+    assert "<script>x" not in text.replace(r"\u003cscript", "")
 
 
 def test_without_flights_or_place_it_says_so(tmp_path):

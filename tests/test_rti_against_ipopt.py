@@ -3,6 +3,8 @@
 
 """RTI iterated to convergence solves the NLP that the paper writes down."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -26,9 +28,20 @@ CASES = {
 """Offset [m] and speed [m/s] along the radius at the start."""
 
 
+@cache
+def nlp(config, margins_given):
+    """Write down the problem and differentiate it twice, which is most of the work, once."""
+    return InspectionNlp(config, "ipopt", IPOPT, margins_given)
+
+
+@cache
+def iteration(config):
+    return RealTimeIteration(config)
+
+
 def converged(config, mode, x0):
     """Iterate prepare and feedback on one problem until the inputs stand still."""
-    rti = RealTimeIteration(config)
+    rti = iteration(config)
     iterate = Trajectory(
         np.tile(x0, (config.horizon + 1, 1)), np.zeros((config.horizon, len(x0) - 12))
     )
@@ -70,8 +83,7 @@ def test_converged_rti_with_frozen_margins_is_the_nlp_with_those_margins(mode, c
     x0 = start(config, *CASES[case])
     iterate, slack, prep = converged(config, mode, x0)
     assert_case_is(case, config, iterate, slack, prep)
-    nlp = InspectionNlp(config, "ipopt", IPOPT)
-    reference = nlp.solve(0.0, x0, prep.margins.total, None)
+    reference = nlp(config, True).solve(0.0, x0, prep.margins.total, None)
     assert_same_solution(iterate, slack, reference)
 
 
@@ -85,6 +97,5 @@ def test_converged_rti_with_margin_gradient_is_eq_15(case):
     frozen, *_ = converged(config.model_copy(update={"tightening": "frozen"}), "robust", x0)
     if case == "touching":
         assert np.abs(frozen.u[0] - iterate.u[0]).max() > 1.0
-    nlp = InspectionNlp(config, "ipopt", IPOPT, margins_given=False)
-    reference = nlp.solve(0.0, x0, None, None)
+    reference = nlp(config, False).solve(0.0, x0, None, None)
     assert_same_solution(iterate, slack, reference)

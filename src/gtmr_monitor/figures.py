@@ -6,41 +6,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from gtmr_monitor import look
+from gtmr_monitor.drawing import new_figure, save
 from gtmr_monitor.flight import Flight
 from gtmr_monitor.look import Line
 
 _DASHES = {"solid": "-", "dash": "--", "dot": ":"}
-_STYLE: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9.0,
-    "axes.titlesize": 10.0,
-    "axes.titlelocation": "left",
-    "axes.edgecolor": look.QUIET,
-    "axes.labelcolor": look.INK,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": look.GRID,
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "lines.linewidth": 1.2,
-    "xtick.color": look.INK,
-    "ytick.color": look.INK,
-}
-_DPI = 160
 
 Flown = Sequence[tuple[Flight, Line]]
 
@@ -48,7 +29,7 @@ Flown = Sequence[tuple[Flight, Line]]
 def trajectory(flown: Flown) -> Figure:
     """Draw the flights round the tower, in space and from above."""
     flown = look.moved(flown)
-    figure = _figure(9.0, 5.2)
+    figure = new_figure(9.0, 5.2)
     grid = figure.add_gridspec(1, 2, width_ratios=(1.2, 1.0))
     space = figure.add_subplot(grid[0], projection="3d")
     above = figure.add_subplot(grid[1])
@@ -93,7 +74,7 @@ def trajectory(flown: Flown) -> Figure:
 
 def residual(flown: Flown) -> Figure:
     """Draw the clearance residual over time and as box plots, with the safety line."""
-    figure = _figure(9.0, 4.0)
+    figure = new_figure(9.0, 4.0)
     over_time, box = figure.subplots(1, 2, width_ratios=(3.4, 1.0), sharey=True)
     moved = look.moved(flown)
     for flight, line in moved:
@@ -139,7 +120,7 @@ def residual(flown: Flown) -> Figure:
 def margins(flown: Flown) -> Figure:
     """Draw the parts of the tightening: at the last stage over time, and over the horizon."""
     tightened = look.tightened(flown)
-    figure = _figure(9.0, 3.3 * max(1, len(tightened)) + 0.7)
+    figure = new_figure(9.0, 3.3 * max(1, len(tightened)) + 0.7)
     if not tightened:
         axes = figure.subplots()
         axes.text(0.5, 0.5, "no tightening was recorded", ha="center", va="center")
@@ -167,7 +148,7 @@ def margins(flown: Flown) -> Figure:
 
 def solve_times(flown: Flown) -> Figure:
     """Draw the time per controller step: over the flight, and how it is distributed."""
-    figure = _figure(9.0, 3.8)
+    figure = new_figure(9.0, 3.8)
     over_time, share = figure.subplots(1, 2, width_ratios=(2.0, 1.0), sharey=True)
     timed = [(flight, line) for flight, line in flown if flight.solve_ms.size]
     edges = look.solve_time_bins([flight for flight, _ in timed])
@@ -201,7 +182,7 @@ def solve_times(flown: Flown) -> Figure:
 def rotors(flown: Flown) -> Figure:
     """Draw the speed of every rotor, one panel per flight."""
     flown = look.moved(flown)
-    figure = _figure(9.0, 2.4 * len(flown) + 0.6)
+    figure = new_figure(9.0, 2.4 * len(flown) + 0.6)
     panels = figure.subplots(len(flown), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
     for (flight, line), axes in zip(flown, panels, strict=True):
         for rotor, speed in enumerate(flight.rotor_speed_hz.T):
@@ -221,7 +202,7 @@ def rotors(flown: Flown) -> Figure:
 def attitude(flown: Flown) -> Figure:
     """Draw roll, pitch and the deviation of the heading from the tower."""
     flown = look.moved(flown)
-    figure = _figure(9.0, 5.6)
+    figure = new_figure(9.0, 5.6)
     panels = figure.subplots(3, 1, sharex=True)
     names = ("roll [deg]", "pitch [deg]", "heading error [deg]")
     for flight, line in flown:
@@ -266,19 +247,10 @@ def write_figures(flown: Flown, prefix: Path) -> list[Path]:
         The files.
     """
     files = []
-    with rc_context(_STYLE):
-        for name, draw in FIGURES.items():
-            path = prefix.with_name(f"{prefix.name}-{name.replace('_', '-')}.png")
-            draw(flown).savefig(path, dpi=_DPI)
-            files.append(path)
+    for name, draw in FIGURES.items():
+        stem = prefix.with_name(f"{prefix.name}-{name.replace('_', '-')}")
+        files += save(partial(draw, flown), stem, ("png",))
     return files
-
-
-def _figure(width_in: float, height_in: float) -> Figure:
-    # Not through pyplot: no global state, no window system.
-    figure = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
 
 
 def _pen(line: Line) -> dict[str, Any]:

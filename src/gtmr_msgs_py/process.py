@@ -59,9 +59,10 @@ def run(make_node: Callable[[bool], SuiteNode], args: list[str] | None = None) -
     except ConfigError as error:
         sys.stderr.write(f"error: {error}\n")
         return BAD_INPUT
-    except Exception:
-        # A signal closes the context even under a node that is being made, or is publishing.
-        if rclpy.ok():
+    except Exception as error:
+        # A signal closes the context even under a node that is being made, or is publishing; in
+        # the middle of a conversion in C, its KeyboardInterrupt is the cause of another error.
+        if rclpy.ok() and not isinstance(error.__cause__, KeyboardInterrupt):
             raise
     finally:
         # A second Ctrl-C must not tear the teardown apart.

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from builtin_interfaces.msg import Duration
 from numpy.typing import ArrayLike, NDArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -53,17 +55,28 @@ def encode(stamp_ns: int, step_ns: int, xi: ArrayLike, u: ArrayLike) -> JointTra
     velocities = RAD_PER_TURN * np.asarray(xi, dtype=float)
     accelerations = RAD_PER_TURN * np.asarray(u, dtype=float)
     accelerations = np.vstack([accelerations, np.zeros(accelerations.shape[1])])
+    # From lists and with the times of the last command: this is on the way of every command.
     points = [
         JointTrajectoryPoint(
             velocities=array("d", velocity),
             accelerations=array("d", acceleration),
-            time_from_start=stamps.encode_duration(i * step_ns),
+            time_from_start=time_from_start,
         )
-        for i, (velocity, acceleration) in enumerate(zip(velocities, accelerations, strict=True))
+        for velocity, acceleration, time_from_start in zip(
+            velocities.tolist(),
+            accelerations.tolist(),
+            _times_from_start(step_ns, len(velocities)),
+            strict=True,
+        )
     ]
     msg = JointTrajectory(joint_names=rotor_names(velocities.shape[1]), points=points)
     msg.header.stamp = stamps.encode(stamp_ns)
     return msg
+
+
+@lru_cache(maxsize=2)
+def _times_from_start(step_ns: int, count: int) -> tuple[Duration, ...]:
+    return tuple(stamps.encode_duration(i * step_ns) for i in range(count))
 
 
 def decode(msg: JointTrajectory, n_rotors: int) -> RotorPlan:

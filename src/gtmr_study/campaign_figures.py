@@ -16,7 +16,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from gtmr_monitor import look
-from gtmr_study.drawing import new_figure, save
+from gtmr_monitor.drawing import new_figure, save
 from gtmr_study.study import Study
 from gtmr_study.summary import channel_shares, summarise, wilson_interval
 from gtmr_study.trial import FLOWN

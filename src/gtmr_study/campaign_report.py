@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from gtmr_monitor import look
+from gtmr_monitor.drawing import inline_svg, save
 from gtmr_monitor.report_style import STYLE
 from gtmr_study.campaign_figures import FIGURES, Campaign
-from gtmr_study.drawing import inline_svg, save
 
 CAPTIONS = {
     "residual": "s = d<sub>min</sub> − d<sub>T</sub>, pooled over all instants of all trials; "
@@ -29,7 +29,12 @@ CAPTIONS = {
 }
 """Explanation of every figure."""
 
-_SVG_STYLE = "figure svg { max-width: 100%; height: auto; } tbody th { white-space: nowrap; }"
+_STUDY_STYLE = """
+figure svg { max-width: 100%; height: auto; }
+tbody th { white-space: nowrap; }
+.wide thead th, .wide tbody th { white-space: normal; }
+.wide th, .wide td { padding-right: 0.8rem; font-size: 0.9em; }
+"""
 
 Value = Callable[[dict[str, Any]], str]
 
@@ -94,7 +99,7 @@ def page(title: str, body: str) -> str:
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{escape(title)}</title>
 <link rel="icon" href="data:,">
-<style>{STYLE}{_SVG_STYLE}</style>
+<style>{STYLE}{_STUDY_STYLE}</style>
 </head>
 <body>
 <h1>{escape(title)}</h1>

@@ -9,17 +9,14 @@ import contextlib
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
-from gtmr_model import ConfigError, Vehicle
-from gtmr_monitor.bag import BagError
+from gtmr_model import Vehicle
 from gtmr_monitor.residual import residual_statistics, solve_statistics
 from gtmr_nmpc import MODES, Controller, ControllerConfig
 from gtmr_sim import GUST_KINDS, GustConfig, Scenario, fly
@@ -34,16 +31,18 @@ from gtmr_study.result_files import (
     require_new_file,
     write_json,
 )
+from gtmr_study.terminal import (
+    complain,
+    console,
+    exit_code_of,
+    needs_ros,
+    progress,
+    require_choice,
+)
 
 if TYPE_CHECKING:
     from gtmr_study.live import LiveView
 
-BAD_INPUT = 2
-"""Exit code of bad input."""
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells have it."""
-UsageError: type[Exception] = typer.BadParameter.__bases__[0]
-"""What wrong options raise; from typer, since it may carry its own copy of click."""
 Zeta = tuple[float, float, float, float, float, float, float, float, float]
 
 app = typer.Typer(
@@ -52,8 +51,6 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-console = Console()
-errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
 
 app.command("bench")(bench_command)
 app.command("export-c")(export_c_command)
@@ -98,8 +95,8 @@ def fly_command(
 ) -> None:
     """Fly one closed loop in this process, without ROS."""
     _require_duration(duration)
-    _require_choice("--mode", mode, MODES)
-    _require_choice("--gust", gust, GUST_KINDS)
+    require_choice("--mode", mode, MODES)
+    require_choice("--gust", gust, GUST_KINDS)
     if zeta is not None and sample:
         raise InputError("--zeta and --sample: give one of them")
     if out is not None and out.suffix != ".npz":
@@ -127,14 +124,14 @@ def fly_command(
         scenario = scenario.sampled()
 
     steps = round(duration / config.sampling_time_s)
-    with _progress() as progress:
-        task = progress.add_task(f"{mode}, {duration:g} s", total=steps)
+    with progress() as bar:
+        task = bar.add_task(f"{mode}, {duration:g} s", total=steps)
         log = fly(
             scenario,
             Controller(config, mode),  # type: ignore[arg-type]
             duration,
             config.sampling_time_s,
-            on_step=lambda k: progress.update(task, completed=k),
+            on_step=lambda k: bar.update(task, completed=k),
         )
     if out is not None:
         log.save(out)
@@ -177,7 +174,7 @@ def demo_command(
     _require_duration(duration)
     chosen = modes.split(",")
     for mode in chosen:
-        _require_choice("--modes", mode, MODES)
+        require_choice("--modes", mode, MODES)
     if len(set(chosen)) < len(chosen):
         raise InputError(f"--modes = {modes!r}: names a mode twice")
     folder = out if out is not None else Path("bags") / time.strftime("demo-%Y-%m-%d-%H-%M-%S")
@@ -186,9 +183,7 @@ def demo_command(
     try:
         from gtmr_study.demo import DemoError, fly_in_ros
     except ModuleNotFoundError as error:
-        raise InputError(
-            f"the demo needs ROS 2, but there is no {error.name}: make setup"
-        ) from None
+        raise needs_ros("the demo", error) from None
     from gtmr_monitor.bag_flight import read_flight
     from gtmr_monitor.report import write_report
 
@@ -201,17 +196,17 @@ def demo_command(
     results: dict[str, dict[str, Any]] = {}
     flights = []
     for mode in chosen:
-        with _progress() as progress:
-            task = progress.add_task(f"{mode}: starting the nodes", total=duration)
+        with progress() as bar:
+            task = bar.add_task(f"{mode}: starting the nodes", total=duration)
 
             def show(time_s: float, clearance_m: float, mode: str = mode) -> None:
                 text = f"{mode}: {time_s:4.1f} of {duration:g} s, clearance {clearance_m:.2f} m"
-                progress.update(task, completed=time_s, description=text)  # noqa: B023
+                bar.update(task, completed=time_s, description=text)  # noqa: B023
 
             try:
                 bag = fly_in_ros(mode, duration, folder / mode, show, view)
             except DemoError as error:
-                errors.print(f"gtmr: {error}")
+                complain(error)
                 raise typer.Exit(1) from None
         flight = read_flight(bag)
         flights.append(flight)
@@ -280,23 +275,6 @@ def _require_duration(duration: float) -> None:
         raise InputError(f"--duration = {duration:g}: allowed is 0.025 to 86400 s")
 
 
-def _require_choice(option: str, value: str, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise InputError(f"{option} = {value!r}: allowed is {', '.join(allowed)}")
-
-
-def _progress() -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
-
-
 def _print_table(results: dict[str, dict[str, Any]]) -> None:
     """Print flights beside each other, one column a mode."""
     table = Table("", *results, box=SIMPLE_HEAD)
@@ -318,21 +296,7 @@ def _print_table(results: dict[str, dict[str, Any]]) -> None:
 def main() -> None:
     """Run the command line; the exit code is 0, 2 for bad input, 1 for anything else."""
     command = typer.main.get_command(app)
-    try:
-        code = command.main(prog_name="gtmr", standalone_mode=False)
-    except (ConfigError, InputError, BagError) as error:
-        code = _refuse(str(error))
-    except UsageError as error:
-        code = _refuse(cast(Any, error).format_message())
-    except (typer.Abort, KeyboardInterrupt):
-        errors.print("gtmr: interrupted")
-        code = INTERRUPTED
-    sys.exit(code or 0)
-
-
-def _refuse(reason: str) -> int:
-    errors.print(f"gtmr: {reason}")
-    return BAD_INPUT
+    sys.exit(exit_code_of(lambda: command.main(prog_name="gtmr", standalone_mode=False)))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ from typing import Annotated, Any
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -24,8 +23,8 @@ from gtmr_study.bench import (
     time_rivals,
 )
 from gtmr_study.result_files import require_folder_of, write_json
+from gtmr_study.terminal import console
 
-console = Console()
 COLUMNS = ("median", "p99", "p99.9", "max")
 
 

@@ -12,15 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import MofNCompleteColumn, TaskID
 from rich.table import Table
 from rich.text import Text
 
@@ -28,9 +20,10 @@ from gtmr_sim import GUST_KINDS
 from gtmr_study.plans import PLAN_KINDS
 from gtmr_study.result_files import InputError, require_folder_of, write_json
 from gtmr_study.study import Study
+from gtmr_study.terminal import complain, console, progress
 
-console = Console()
-errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
+PAPER_SCENARIO = "paper"
+"""Preset of the paper's study."""
 
 OutOption = Annotated[
     Path,
@@ -136,7 +129,7 @@ def reproduce_command(
     scenario: Annotated[
         str,
         typer.Option(metavar="NAME|YAML", help="Preset or file under config/scenario."),
-    ] = "paper",
+    ] = PAPER_SCENARIO,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     json: JsonOption = None,
@@ -147,8 +140,12 @@ def reproduce_command(
     from gtmr_study.reproduce import FULL, QUICK, REPORT_FILE, reproduce
 
     study = with_options(Study.load("scenario", scenario), seed=seed)
+    command = f"gtmr reproduce{' --quick' if quick else ''} --seed {study.seed}"
+    if scenario != PAPER_SCENARIO:
+        command += f" --scenario {scenario}"
+    effort = QUICK if quick else FULL
     with _reported_progress() as show:
-        results = reproduce(study, QUICK if quick else FULL, out, workers, scheduler, show)
+        results = reproduce(study, effort, out, workers, scheduler, show, command)
     write_json(json, results)
     print_summary(results["summary"])
     near = results["distance"]
@@ -160,15 +157,22 @@ def reproduce_command(
 
 def calibrate_command(
     out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Keeps the search; one that is there goes on.")
+        Path,
+        typer.Option(metavar="DIR", help="Folder of a search: new, empty, or to go on with."),
     ],
     target: Annotated[
         str, typer.Option(metavar="nominal|both", help="Which rows of the paper to come close to.")
     ] = "nominal",
-    evaluations: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Evaluations in all.")
-    ] = 100,
-    trials: Annotated[int, typer.Option(metavar="N", min=1, help="Trials of an evaluation.")] = 50,
+    sets: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=1,
+            help="Sets of values in all, the shipped presets first.  [120, or 60 for both: some "
+            "twelve minutes on two cores]",
+        ),
+    ] = None,
+    trials: Annotated[int, typer.Option(metavar="N", min=1, help="Trials of a set.")] = 32,
     duration: Annotated[float, typer.Option(metavar="S", help="Length of a flight [s].")] = 50.0,
     seed: Annotated[int, typer.Option(metavar="K", help="Seed of trials and search.")] = 0,
     workers: WorkersOption = None,
@@ -177,25 +181,33 @@ def calibrate_command(
     """Search what the paper leaves out for what comes closest to its results."""
     require_folder_of("--json", json)
     try:
-        from gtmr_study.calibration import TARGETS, calibrate
+        from gtmr_study.calibration import BEST, SETS, TARGETS, calibrate
     except ModuleNotFoundError as error:
         raise InputError(f"the search needs {error.name}: pip install {error.name}") from None
     if target not in TARGETS:
         raise InputError(f"--target = {target!r}: allowed is {', '.join(TARGETS)}")
     study = with_options(Study(), trials=trials, seed=seed, duration_s=duration)
+    number = sets if sets is not None else SETS[target]
     with _reported_progress() as show:
         result = calibrate(
             study,
             target,
-            evaluations,
+            number,
             out,
             workers,
-            lambda done, least: show(f"least distance {least:.2f}", done, evaluations),
+            partial(show, "sets"),
         )
     write_json(json, result)
     for name, value in result["parameters"].items():
         console.print(f"{name}: {value:.4g}")
-    console.print(f"Distance after {result['evaluations']}: {result['distance']:.3f}")
+    rows = "nominal rows" if target == "nominal" else "rows, nominal and robust"
+    presets = ", ".join(f"{name} {value:.3f}" for name, value in result["presets"].items())
+    console.print(
+        f"Distance of the best of {result['sets']} sets to the paper's {rows}: "
+        f"{result['distance']:.3f} in {trials} trials of {duration:g} s ({presets})\n"
+        f"The whole campaign with it:  gtmr reproduce --scenario {out / BEST}",
+        soft_wrap=True,
+    )
 
 
 def with_options(study: Study, **changes: Any) -> Study:
@@ -255,7 +267,7 @@ def print_summary(summary: dict[str, Any]) -> None:
     console.print(table)
     for mode, s in summary.items():
         if s["errors"]:
-            errors.print(f"gtmr: {mode}: {s['errors']} trials raised; their rows say why")
+            complain(f"{mode}: {s['errors']} trials raised; their rows say why")
 
 
 def _changes(**fields: Any) -> dict[str, Any]:
@@ -272,22 +284,14 @@ def _reported_progress() -> Iterator[Callable[[str, int, int], None]]:
     """Show one progress bar for each thing done; a full disk ends the command with code 1."""
     bars: dict[str, TaskID] = {}
     try:
-        with Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeRemainingColumn(),
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        ) as progress:
+        with progress(MofNCompleteColumn()) as bar:
 
             def show(what: str, done: int, total: int) -> None:
                 if what not in bars:
-                    bars[what] = progress.add_task(what)
-                progress.update(bars[what], completed=done, total=total)
+                    bars[what] = bar.add_task(what)
+                bar.update(bars[what], completed=done, total=total)
 
             yield show
     except OSError as error:
-        errors.print(f"gtmr: {error}; finished trials are kept: the same command goes on")
+        complain(f"{error}; finished trials are kept: the same command goes on")
         raise typer.Exit(1) from None

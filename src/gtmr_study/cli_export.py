@@ -9,15 +9,13 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from gtmr_model import Vehicle
 from gtmr_model.compile import CompileError
 from gtmr_nmpc import ControllerConfig
 from gtmr_study.export_c import export_c
 from gtmr_study.result_files import InputError, require_empty_folder
-
-console = Console()
+from gtmr_study.terminal import console
 
 
 def export_c_command(

@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -24,6 +22,7 @@ from gtmr_model import Vehicle
 from gtmr_monitor.bag_reader import TruncatedBagWarning
 from gtmr_nmpc import MODES, ControllerConfig
 from gtmr_study.result_files import InputError, require_folder_of, require_new_file, write_json
+from gtmr_study.terminal import complain, console, needs_ros, progress, require_choice
 
 if TYPE_CHECKING:
     from gtmr_study.replay import Recording
@@ -32,9 +31,6 @@ RATES = (0.01, 100.0)
 """Least and greatest rate of a playback."""
 MAX_WAIT_S = 3600.0
 """Longest wait for listeners [s]."""
-
-console = Console()
-errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
 
 BagArgument = Annotated[Path, typer.Argument(metavar="BAG", help="A bag folder or MCAP file.")]
 
@@ -77,25 +73,25 @@ def replay_command(
     ] = None,
 ) -> None:
     """Feed a bag's odometry and rotor speeds to the controller again; compare its commands."""
-    if mode is not None and mode not in MODES:
-        raise InputError(f"--mode = {mode!r}: allowed is {', '.join(MODES)}")
+    if mode is not None:
+        require_choice("--mode", mode, MODES)
     require_new_file("--report", report)
     require_folder_of("--json", json)
     try:
         from gtmr_study.replay import read_recording, replay
     except ModuleNotFoundError as error:
-        raise _needs_ros("a replay", error) from None
+        raise needs_ros("a replay", error) from None
 
     with truncation_told():
         recording = read_recording(bag, odom, rotors)
     config = _config(recording, controller, vehicle)
-    with _progress() as progress:
-        task = progress.add_task("replay", total=None)
+    with progress() as bar:
+        task = bar.add_task("replay", total=None)
         replayed = replay(
             recording,
-            mode,
+            mode,  # type: ignore[arg-type]
             config,
-            lambda done, total: progress.update(task, completed=done, total=total),
+            lambda done, total: bar.update(task, completed=done, total=total),
         )
     result = replayed.result()
     if report is not None:
@@ -136,7 +132,7 @@ def play_command(
     try:
         from gtmr_study.play import play, read_playlist
     except ModuleNotFoundError as error:
-        raise _needs_ros("playing a bag", error) from None
+        raise needs_ros("playing a bag", error) from None
 
     with truncation_told():
         playlist = read_playlist(bag, everything)
@@ -148,21 +144,21 @@ def play_command(
     stop = Event()
     before = signal.signal(signal.SIGINT, lambda *_: stop.set())
     try:
-        with _progress() as progress, warnings.catch_warnings():
+        with progress() as bar, warnings.catch_warnings():
             warnings.simplefilter("ignore", TruncatedBagWarning)
-            task = progress.add_task("play", total=playlist.duration_s)
+            task = bar.add_task("play", total=playlist.duration_s)
             notes = play(
                 playlist,
                 rate,
                 loop,
                 wait,
-                lambda into_s: progress.update(task, completed=into_s),
+                lambda into_s: bar.update(task, completed=into_s),
                 stop,
             )
     finally:
         signal.signal(signal.SIGINT, before)
     for note in notes:
-        errors.print(f"gtmr: {note}")
+        complain(note)
 
 
 def _config(
@@ -182,10 +178,6 @@ def _config(
     return config
 
 
-def _needs_ros(what: str, error: ModuleNotFoundError) -> InputError:
-    return InputError(f"{what} needs ROS 2, but there is no {error.name}: make setup")
-
-
 @contextmanager
 def truncation_told() -> Iterator[None]:
     """Turn Python's warning of a bag without an end into a line for the user."""
@@ -193,19 +185,7 @@ def truncation_told() -> Iterator[None]:
         warnings.simplefilter("always", TruncatedBagWarning)
         yield
     for warning in caught:
-        errors.print(f"gtmr: warning: {warning.message}")
-
-
-def _progress() -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
+        complain(f"warning: {warning.message}")
 
 
 def _print_result(result: dict[str, Any]) -> None:

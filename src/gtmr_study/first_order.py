@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from gtmr_model import N_ZETA, Tower, Vehicle
 from gtmr_model.dynamics import rk4_step, state_derivative, symbols
+from gtmr_monitor.drawing import new_figure
 from gtmr_nmpc import Controller, Solution
 from gtmr_sim import fly
-from gtmr_study.drawing import new_figure
 from gtmr_study.study import Study
 
 Array = NDArray[np.float64]

@@ -46,6 +46,8 @@ PAPER: dict[Mode, Row] = {
     ),
 }
 """The paper's rows by mode."""
+MEDIAN_CLEARANCE_M = 0.40
+"""Of the robust controller, in the text of Sec. VII [m]."""
 
 RATE_TOLERANCE = 40 / TRIALS
 """What counts as one unit of distance in the share of violating trials [-]."""
@@ -103,66 +105,3 @@ def distance(summary: dict[str, dict[str, Any]], modes: tuple[Mode, ...]) -> flo
     """
     squares = [d**2 for mode in modes for d in deviations(summary[mode], mode).values()]
     return math.sqrt(sum(squares) / len(squares))
-
-
-def claims(summary: dict[str, dict[str, Any]]) -> list[tuple[str, str, str, str]]:
-    """Set the paper's figures beside ours, with a verdict on each.
-
-    Parameters
-    ----------
-    summary : dict
-        Of a campaign in both modes, see `summarise`.
-
-    Returns
-    -------
-    list of (str, str, str, str)
-        Claim, the paper's value, ours, and ``met`` (within one tolerance) or ``not met``.
-    """
-    rows = []
-    for mode, row in PAPER.items():
-        ours, off = summary[mode], deviations(summary[mode], mode)
-        low, high = (100.0 * bound for bound in ours["violation_rate_95"])
-        rows.append(
-            (
-                f"{mode}: trials with a violation",
-                f"{row.violations} of {TRIALS}",
-                f"{ours['violations']} of {ours['trials']} ({low:.1f} to {high:.1f} %)",
-                _verdict(off["violations"]),
-            )
-        )
-        lengths = {"least clearance": ("min_clearance", row.min_clearance_m)}
-        lengths |= {
-            f"residual, {name}": (f"residual_{key}", row.residual_m[key])
-            for name, key in _RESIDUAL_NAMES.items()
-        }
-        for name, (key, paper_m) in lengths.items():
-            ours_m = ours["min_clearance_m"]
-            if key != "min_clearance":
-                ours_m = ours["residual_m"][key.removeprefix("residual_")]
-            claim = f"{mode}: {name}"
-            rows.append((claim, f"{paper_m:.3f} m", f"{ours_m:.3f} m", _verdict(off[key])))
-    times = {mode: summary[mode]["solve_ms"]["mean"] for mode in PAPER}
-    factor = times["robust"] / times["nominal"]
-    paper_factor = PAPER["robust"].solve_ms / PAPER["nominal"].solve_ms
-    rows.append(
-        (
-            "robust over nominal solve time",
-            f"{paper_factor:.2f}",
-            f"{factor:.2f}",
-            "met" if factor <= paper_factor else "not met",
-        )
-    )
-    return rows
-
-
-_RESIDUAL_NAMES = {
-    "lower whisker": "min",
-    "lower quartile": "q1",
-    "median": "median",
-    "upper quartile": "q3",
-    "upper whisker": "max",
-}
-
-
-def _verdict(deviation: float) -> str:
-    return "met" if abs(deviation) <= 1.0 else "not met"

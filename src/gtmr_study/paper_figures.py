@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 
 from gtmr_model import Helix, Tower
 from gtmr_monitor import look
+from gtmr_monitor.drawing import new_figure
 from gtmr_sim import FlightLog
 from gtmr_study.campaign_figures import draw_boxes
-from gtmr_study.drawing import new_figure
 from gtmr_study.paper_claims import PAPER, TRIALS
 
 _PAPER_SHADE = "#8c8c8c"

@@ -8,30 +8,32 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from html import escape
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
+import numpy as np
 
-from gtmr_model import CHANNELS
-from gtmr_monitor import look
+from gtmr_model import N_ZETA
+from gtmr_model.dynamics import ATTITUDE, POSITION, YAW
+from gtmr_monitor.drawing import save
 from gtmr_nmpc import MODES, Controller
-from gtmr_sim import FlightLog, fly
+from gtmr_sim import FlightLog, GustConfig, fly
 from gtmr_study import cluster, first_order, paper_figures
 from gtmr_study.campaign import fly_campaign
 from gtmr_study.campaign_figures import Campaign, write_figures
-from gtmr_study.campaign_report import campaign_section, page, table
-from gtmr_study.drawing import inline_svg, save
-from gtmr_study.margin_budget import margin_budget, unit_slips
-from gtmr_study.paper_claims import PAPER, TRIALS, WIND_BIAS_N, claims, deviations, distance
+from gtmr_study.claims_table import claims, claims_markdown
+from gtmr_study.margin_budget import alpha_by_helix_speed, hoelder_ratio
+from gtmr_study.paper_claims import PAPER, TRIALS, WIND_BIAS_N, deviations, distance
+from gtmr_study.reproduction_report import sensitivity_markdown, write_page
 from gtmr_study.result_files import write_json
 from gtmr_study.study import Study
-from gtmr_study.summary import summarise
+from gtmr_study.variants import fly_variants, variants
 
 RESULTS_FILE = "reproduction.json"
 REPORT_FILE = "report.html"
 CLAIMS_FILE = "claims.md"
+SENSITIVITY_FILE = "sensitivity.md"
+VARIANTS_FOLDER = "variants"
 
 OnProgress = Callable[[str, int, int], None]
 """Told what is being done, how much of it is done, and of how much."""
@@ -48,9 +50,9 @@ class Effort:
     quality_duration_s: float
     """Length of the flights whose plans are tried open loop, one a trial [s]."""
     variant_trials: int
-    """Robust trials with each of the other margins; 0 leaves these out."""
+    """Trials a mode with one thing changed, for each change; 0 leaves these out."""
     variant_duration_s: float = 20.0
-    """Length of these flights [s]."""
+    """Length of these flights: more than a turn round the tower [s]."""
 
 
 FULL = Effort(trials=TRIALS, duration_s=50.0, quality_duration_s=5.0, variant_trials=24)
@@ -58,8 +60,6 @@ FULL = Effort(trials=TRIALS, duration_s=50.0, quality_duration_s=5.0, variant_tr
 QUICK = Effort(trials=24, duration_s=50.0, quality_duration_s=3.0, variant_trials=0)
 """About a minute."""
 
-EPS_S_TRIED_M = (0.03, 0.06, 0.09, 0.12, 0.15)
-"""Constant terms of the margin that are tried [m]."""
 QUALITY_CHUNK = 5
 """Trials handed out at a time."""
 
@@ -71,6 +71,7 @@ def reproduce(
     n_workers: int | None = None,
     scheduler: str | None = None,
     on_progress: OnProgress | None = None,
+    command: str = "gtmr reproduce",
 ) -> dict[str, Any]:
     """Fly everything and write the results, or go on where it was interrupted.
 
@@ -88,12 +89,15 @@ def reproduce(
         Address of a running Dask scheduler, instead.
     on_progress : callable, optional
         Called while flying.
+    command : str
+        What the user called, for the table of claims.
 
     Returns
     -------
     dict
-        Content of reproduction.json: ``summary``, ``paper``, ``deviations``, ``distance``,
-        ``fig_1``, ``first_order`` and ``variants``.
+        Content of reproduction.json: ``command``, ``summary``, ``paper``, ``deviations``,
+        ``distance``, ``fig_1``, ``calm``, ``first_order``, ``hoelder_ratio``,
+        ``alpha_by_helix_speed`` and ``variants``.
 
     Raises
     ------
@@ -108,35 +112,37 @@ def reproduce(
     )
     summary = fly_campaign(study, folder, n_workers, scheduler, partial(tell, "trials"))
     logs = _fig_1_flights(study, partial(tell, "Fig. 1"))
+    flown_variants = []
     with cluster.workers(n_workers, scheduler) as client:
-        found = list(_perturbations(client, study, effort, partial(tell, "first order")))
-        variants = []
         if effort.variant_trials:
-            variants = _fly_variants(client, study, effort, partial(tell, "other margins"))
-    results = {
+            made = variants(study, effort.variant_trials, effort.variant_duration_s)
+            tell_variants = partial(tell, "one change at a time")
+            flown_variants = fly_variants(client, made, folder / VARIANTS_FOLDER, tell_variants)
+        found = list(_perturbations(client, study, effort, partial(tell, "first order")))
+    results: dict[str, Any] = {
+        "command": command,
         "seed": study.seed,
         "summary": summary,
         "paper": {mode: row.__dict__ for mode, row in PAPER.items()},
         "deviations": {mode: deviations(summary[mode], mode) for mode in MODES},
         "distance": {"nominal": distance(summary, ("nominal",)), "both": distance(summary, MODES)},
-        "fig_1": {mode: {"min_clearance_m": float(log.d_T.min())} for mode, log in logs.items()},
+        "fig_1": {mode: _fig_1_figures(study, log) for mode, log in logs.items()},
+        "calm": _calm_flight(study),
         "first_order": first_order.quality(first_order.Perturbations.join(found)),
-        "variants": variants,
+        "hoelder_ratio": hoelder_ratio(study.controller),
+        "alpha_by_helix_speed": alpha_by_helix_speed(study.controller),
+        "variants": flown_variants,
     }
     write_json(folder / RESULTS_FILE, results)
     write_figures(folder)
     drawn = _figures(study, results, logs)
     for name, draw in drawn.items():
         save(draw, folder / name)
-    html = _page(Campaign.read(folder), results, drawn)
-    (folder / REPORT_FILE).write_text(html, encoding="utf-8")
-    (folder / CLAIMS_FILE).write_text(_markdown(claims(summary)), encoding="utf-8")
+    found_claims = claims(study, results)
+    write_page(folder / REPORT_FILE, Campaign.read(folder), found_claims, results, drawn)
+    (folder / CLAIMS_FILE).write_text(claims_markdown({"ours": found_claims}), encoding="utf-8")
+    (folder / SENSITIVITY_FILE).write_text(sensitivity_markdown(results), encoding="utf-8")
     return results
-
-
-def _markdown(rows: list[tuple[str, str, str, str]]) -> str:
-    lines = [("claim", "paper", "here", "verdict"), ("---",) * 4, *rows]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def _fig_1_flights(study: Study, tell: Callable[[int, int], None]) -> dict[str, FlightLog]:
@@ -150,6 +156,43 @@ def _fig_1_flights(study: Study, tell: Callable[[int, int], None]) -> dict[str, 
         logs[mode] = fly(scenario, controller, study.duration_s, period)
         tell(k + 1, len(MODES))
     return logs
+
+
+def _fig_1_figures(study: Study, log: FlightLog) -> dict[str, float]:
+    tower = study.controller.tower
+    reference = study.controller.helix.at(log.t, tower)
+    position, yaw = log.x[:, POSITION], log.x[:, YAW]
+    roll_pitch = log.x[:, ATTITUDE][:, :2]
+    inward = np.arctan2(-position[:, 1], -position[:, 0])
+    off_tower = np.angle(np.exp(1j * (yaw - inward)))
+    distance_m = np.linalg.norm(position - reference.position, axis=1)
+    return {
+        "min_clearance_m": float(log.d_T.min()),
+        "tracking_rms_m": float(np.sqrt(np.mean(distance_m**2))),
+        "tilt_deg": float(np.degrees(np.abs(roll_pitch).max())),
+        "off_tower_deg": float(np.degrees(np.abs(off_tower).max())),
+    }
+
+
+def _calm_flight(study: Study) -> dict[str, float]:
+    """See, without mismatch and gusts, if more clearance is kept where the margin is large."""
+    scenario = study.scenario(0).model_copy(
+        update={"zeta": (0.0,) * N_ZETA, "gust": GustConfig(kind="none")}
+    )
+    controller = Controller(study.controller, "robust")
+    log = fly(scenario, controller, study.duration_s, study.controller.sampling_time_s)
+    # The margin of a plan's end is about where the vehicle will be a horizon later.
+    horizon = study.controller.horizon
+    alpha_n, clearance = log.alpha_p[:-horizon, -1], log.d_T[horizon:]
+    settled = slice(len(clearance) // 2, None)
+    alpha_n, clearance = alpha_n[settled], clearance[settled]
+    low, high = np.percentile(alpha_n, (25.0, 75.0))
+    extra_m = clearance[alpha_n >= high].mean() - clearance[alpha_n <= low].mean()
+    return {
+        "alpha_p_n_low_m": float(low),
+        "alpha_p_n_high_m": float(high),
+        "extra_clearance_m": float(extra_m),
+    }
 
 
 def _perturbations(
@@ -171,38 +214,6 @@ def _perturbations(
     yield from (results[chunk] for chunk in chunks)
 
 
-def _fly_variants(
-    client: cluster.Client, study: Study, effort: Effort, tell: Callable[[int, int], None]
-) -> list[dict[str, Any]]:
-    """Fly the robust controller with other margins in the same world."""
-    config = study.controller
-    variants = unit_slips(config) | {
-        f"ε_s = {eps_s_m:g} m": config.model_copy(update={"eps_s_m": eps_s_m})
-        for eps_s_m in EPS_S_TRIED_M
-    }
-    rows = []
-    for k, (name, controller) in enumerate(variants.items()):
-        changes = {
-            "controller": controller,
-            "uncertainty": study.true_uncertainty,
-            "modes": ("robust",),
-            "trials": effort.variant_trials,
-            "duration_s": effort.variant_duration_s,
-        }
-        varied = study.model_copy(update=changes)
-        parts = list(cluster.fly_on(client, varied, varied.flights()))
-        flown = pd.DataFrame([row for part in parts for row in part]).sort_values("trial")
-        rows.append(
-            {
-                "name": name,
-                "margins_m": margin_budget(controller),
-                "summary": summarise(flown)["robust"],
-            }
-        )
-        tell(k + 1, len(variants))
-    return rows
-
-
 def _figures(
     study: Study, results: dict[str, Any], logs: dict[str, FlightLog]
 ) -> dict[str, Callable[[], Any]]:
@@ -213,50 +224,3 @@ def _figures(
         "fig-2": partial(paper_figures.fig_2, summary),
         "first-order": partial(first_order.draw, results["first_order"]),
     }
-
-
-_CAPTIONS = {
-    "table-ii": "The paper's solve times are those of MATLAB on another machine.",
-    "fig-1": "Under a wind bias of [0.6, 0.4, 0.0] N. The paper gives this figure as a drawing, "
-    "without numbers to compare with.",
-    "fig-2": "The paper's boxes (grey) are drawn from the coordinates of its figure.",
-    "first-order": "Plans of the robust controller flown open loop: the change of the clearance "
-    "over the margin that should bound it. Above the dashed line the margin is exceeded.",
-}
-
-
-def _page(campaign: Campaign, results: dict[str, Any], drawn: dict[str, Callable[[], Any]]) -> str:
-    figures = "\n".join(
-        f'<figure id="{name}">{inline_svg(draw)}</figure>\n<p>{_CAPTIONS[name]}</p>'
-        for name, draw in drawn.items()
-    )
-    rows = [(claim, cells) for claim, *cells in claims(results["summary"])]
-    return page(
-        "Reproduction of the paper",
-        f"""{table(["paper", "here", "verdict"], rows)}
-{figures}
-{_variants(results["variants"])}
-{campaign_section(campaign)}""",
-    )
-
-
-def _variants(variants: list[dict[str, Any]]) -> str:
-    if not variants:
-        return ""
-    parts = [*CHANNELS, "eps_s", "gust", "total"]
-    labels = [{**look.MARGIN_LABELS, "total": "total"}[part] for part in parts]
-    flown, keys = ["least [m]", "median [m]"], ("min_clearance_m", "median_clearance_m")
-    rows = [
-        (
-            escape(variant["name"]),
-            [f"{1e3 * variant['margins_m'][part]:.1f}" for part in parts]
-            + [f"{variant['summary'][key]:.3f}" for key in keys],
-        )
-        for variant in variants
-    ]
-    return f"""<h2>Size of the tightening</h2>
-<p>Parts of the margin at the last stage [mm], averaged over a turn round the tower: as the
-paper's formulas and bounds give it, as slips of units would, and with larger constant terms; and
-the clearance of robust flights with it. The paper's robust row asks for a least clearance of
-{PAPER["robust"].min_clearance_m:g} m and a median of 0.39 m.</p>
-{table([*labels, *flown], rows)}"""

@@ -1,7 +1,7 @@
 # Copyright 2026 the gtmr authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""How figures of studies look: matplotlib without global state; as PNG, PDF and inline SVG."""
+"""How figures on paper look: matplotlib without global state; as PNG, PDF and inline SVG."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from gtmr_monitor import look
 
-STYLE: dict[Any, Any] = {
+_STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.titlesize": 10.0,
@@ -61,6 +61,7 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     -------
     matplotlib.figure.Figure
     """
+    # Not through pyplot: no global state, no window system.
     figure = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     return figure
@@ -84,7 +85,7 @@ def save(draw: Draw, stem: Path, formats: Sequence[str] = ("png", "pdf")) -> lis
         The files.
     """
     paths = [stem.with_name(f"{stem.name}.{ending}") for ending in formats]
-    with rc_context(STYLE):
+    with rc_context(_STYLE):
         figure = draw()
         for path, ending in zip(paths, formats, strict=True):
             figure.savefig(path, dpi=_DPI, metadata=_NO_DATE[ending])
@@ -105,7 +106,7 @@ def inline_svg(draw: Draw) -> str:
         An svg element.
     """
     buffer = io.StringIO()
-    with rc_context(STYLE):
+    with rc_context(_STYLE):
         draw().savefig(buffer, format="svg", metadata=_NO_DATE["svg"])
     text = buffer.getvalue()
     return text[text.index("<svg") :]

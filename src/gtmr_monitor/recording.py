@@ -1,0 +1,90 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A recording that may fail in flight: a full disk is no reason to stop watching."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from gtmr_monitor.bag import BagError
+from gtmr_monitor.bag_writer import BagWriter, OfferedQos
+
+
+class Recording:
+    """A bag until it cannot be written; from then on it only counts what it lacks.
+
+    Parameters
+    ----------
+    folder : str
+        New or empty.
+    on_failure : callable
+        Told in one line what went wrong.
+
+    Raises
+    ------
+    BagError
+        If there can be no bag in the folder.
+    """
+
+    def __init__(self, folder: str, on_failure: Callable[[str], object]) -> None:
+        self._bag: BagWriter | None = BagWriter(folder)
+        self._on_failure = on_failure
+        self.folder = folder
+        """Where it is."""
+        self.unwritten = 0
+        """How many messages came when the bag could not be written any more."""
+
+    @property
+    def active(self) -> bool:
+        """Whether the bag is being written."""
+        return self._bag is not None
+
+    @property
+    def messages(self) -> int:
+        """How many messages are in the bag; 0 after a failure."""
+        return self._bag.messages if self._bag is not None else 0
+
+    @property
+    def size_bytes(self) -> int:
+        """How large the bag is; 0 after a failure."""
+        return self._bag.size_bytes if self._bag is not None else 0
+
+    def add_topic(self, topic: str, msgtype: str, qos: OfferedQos) -> None:
+        """Make a topic known before its first message, see `BagWriter.add_topic`."""
+        if self._bag is not None:
+            self._bag.add_topic(topic, msgtype, qos)
+
+    def write(
+        self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int | None = None
+    ) -> None:
+        """Write a message, see `BagWriter.write`; a failure ends the recording."""
+        if self._bag is None:
+            self.unwritten += 1
+            return
+        try:
+            self._bag.write(topic, data, log_time_ns, publish_time_ns)
+        except BagError as error:
+            self._give_up(error)
+
+    def flush(self) -> None:
+        """Put what is written out of reach of a crash; a failure ends the recording."""
+        if self._bag is not None:
+            try:
+                self._bag.flush()
+            except BagError as error:
+                self._give_up(error)
+
+    def close(self) -> None:
+        """End the bag."""
+        bag, self._bag = self._bag, None
+        if bag is not None:
+            try:
+                bag.close()
+            except BagError as error:
+                self._on_failure(str(error))
+
+    def _give_up(self, error: BagError) -> None:
+        self._bag = None
+        self.unwritten += 1
+        self._on_failure(f"stopped recording: {error}")

@@ -1,0 +1,104 @@
+# Copyright 2026 the gtmr authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Subscriptions of a recorder: every message, as bytes, with the time when it came."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+from nav_msgs.msg import Odometry
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+
+from gtmr_msgs_py.topics import Topic
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+    from rclpy.subscription import Subscription
+
+FROM_ANY_ESTIMATOR = (Odometry, JointState)
+"""Messages that on a real vehicle come from elsewhere, often best effort."""
+BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""What is asked for where a publisher offers no more."""
+NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
+"""Every event handler is one more thing to wait for, at every message of any topic."""
+
+Info = Mapping[str, int]
+"""What the middleware tells of a message."""
+OnMessage = Callable[..., None]
+"""Gets a message as CDR bytes, and what the middleware tells of it as a second argument."""
+
+
+def listen(node: Node, topic: Topic, on_message: OnMessage) -> None:
+    """Listen so that nothing is lost, or so well as a publisher that is not ours allows.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Who listens.
+    topic : Topic
+        To what.
+    on_message : callable
+        Gets every message.
+    """
+
+    def ask_for_less() -> None:
+        # A best-effort subscription gets what either kind of publisher sends.
+        node.get_logger().warning(f"{topic.name} is published best effort: messages may be lost")
+        node.destroy_subscription(reliable)
+        _subscribe(node, topic, on_message, BEST_EFFORT, NO_EVENTS)
+
+    events = NO_EVENTS
+    if topic.message in FROM_ANY_ESTIMATOR:
+        events = SubscriptionEventCallbacks(
+            incompatible_qos=lambda _: ask_for_less(), use_default_callbacks=False
+        )
+    reliable = _subscribe(node, topic, on_message, topic.qos, events)
+
+
+def take_what_arrived(node: Node) -> None:
+    """Hand on, at the end, the messages that came but that nobody has been told of.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        All whose subscriptions were made by `listen`.
+    """
+    for subscription in node.subscriptions:
+        with subscription.handle:
+            while taken := subscription.handle.take_message(
+                subscription.msg_type, subscription.raw
+            ):
+                subscription.callback(*taken)
+
+
+def received_ns(info: Info) -> int:
+    """Say when a message came, as callbacks may have to wait.
+
+    Parameters
+    ----------
+    info : mapping
+        What the middleware tells of it.
+
+    Returns
+    -------
+    int
+        When the middleware got it, or now where it does not tell [ns].
+    """
+    return info["received_timestamp"] or time.time_ns()
+
+
+def _subscribe(
+    node: Node,
+    topic: Topic,
+    on_message: OnMessage,
+    qos: QoSProfile,
+    events: SubscriptionEventCallbacks,
+) -> Subscription:
+    return node.create_subscription(
+        topic.message, topic.name, on_message, qos, raw=True, event_callbacks=events
+    )
