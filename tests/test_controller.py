@@ -217,7 +217,11 @@ def test_states_that_are_none_are_refused():
         Controller().step(0.0, START * np.nan)
 
 
-def test_after_a_failure_the_next_step_starts_from_the_measured_state():
+THROUGH_THE_TOWER = np.full(21, SCENARIO.tower.radius_m + 0.3)
+
+
+@pytest.mark.parametrize("unfit", [{"status": "failed"}, {"slack": THROUGH_THE_TOWER}])
+def test_after_an_unfit_plan_the_next_step_starts_from_the_measured_state(unfit):
     class FailsOnce(InterpretedIteration):
         starts = ""
 
@@ -231,10 +235,24 @@ def test_after_a_failure_the_next_step_starts_from_the_measured_state():
 
         def feedback(self, x):
             plan = super().feedback(x)
-            return plan._replace(status="failed") if len(self.starts) == 3 else plan
+            return plan._replace(**unfit) if len(self.starts) == 3 else plan
 
     iteration = FailsOnce(ControllerConfig())
     controller = Controller(iteration=iteration)
-    statuses = [controller.step(0.025 * k, START).status for k in range(5)]
-    assert statuses == ["solved", "solved", "failed", "solved", "solved"]
+    for k in range(5):
+        controller.step(0.025 * k, START)
     assert iteration.starts == "cwwcw"
+
+
+def test_a_fast_approach_with_unequal_rotors_is_stopped_before_the_tower():
+    x = START.copy()
+    x[:9] += [-0.0012, 0.0263, 0.1943, -0.0288, 0.1372, 0.0, -0.5024, -0.0497, 0.48]
+    x[12:] = [37.1641, 60.7094, 45.6946, 85.1406, 81.4439, 84.5922]
+    simulation, controller = Simulation(SCENARIO, 0.025), Controller()
+    simulation.plant.x = x
+    for _ in range(80):
+        solution = controller.step(simulation.time_s, simulation.x)
+        assert solution.status != "failed"
+        simulation.command(simulation.time_s, solution.u_plan)
+        simulation.advance(0.025)
+        assert SCENARIO.tower.clearance(simulation.x[:3]) > 0.05

@@ -16,7 +16,7 @@ from gtmr_model.dynamics import YAW
 from gtmr_nmpc.compiled import CompiledIteration
 from gtmr_nmpc.config import MODES, ControllerConfig, Mode
 from gtmr_nmpc.interpreted import InterpretedIteration
-from gtmr_nmpc.iteration import Iteration
+from gtmr_nmpc.iteration import Iteration, Plan
 from gtmr_nmpc.solution import Solution, Timing
 
 Array = NDArray[np.float64]
@@ -90,7 +90,7 @@ class Controller:
         """Forget the warm start, as before the first step."""
         self._last_t: float | None = None
         self._last_progress = 0.0
-        self._failed = False
+        self._is_a_start = False
         self._prepared = None
 
     def prepare(self, t: float) -> None:
@@ -137,9 +137,8 @@ class Controller:
         start = time.perf_counter()
         plan = self._iteration.feedback(x)
         feedback_s = time.perf_counter() - start
-        # A plan that was no solution is no place to start from either.
         self._last_t, self._last_progress = t, progress
-        self._failed = plan.status == "failed"
+        self._is_a_start = plan.status != "failed" and self._reaches_no_axis(plan)
         return Solution(
             u=plan.u_plan[0],
             margin_scale=_margin_scale(progress),
@@ -184,9 +183,18 @@ class Controller:
         most = max(0.0, t - self._last_t) / switch_time_s
         return self._last_progress + min(max(due - self._last_progress, -most), most)
 
+    def _reaches_no_axis(self, plan: Plan) -> bool:
+        """Whether a plan stays on the vehicle's side of the tower's axis, by the slack it needs.
+
+        One that does not is a step too long for the linearisation that it came from, and would be
+        the next one's iterate.
+        """
+        tower = self.config.tower
+        return bool(plan.slack.max() <= tower.radius_m + tower.min_clearance_m)
+
     def _warm(self, t: float) -> bool:
-        """Start from the last plan, if it reaches time t."""
-        if self._last_t is None or self._failed:
+        """Start from the last plan, if it reaches time t and is fit for it."""
+        if self._last_t is None or not self._is_a_start:
             return False
         steps = round((t - self._last_t) / self.config.sampling_time_s)
         if not 0 <= steps < self.config.horizon:
