@@ -97,6 +97,8 @@ def test_interrupted_by_the_whole_terminal_it_says_so_in_one_line(tmp_path):
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        # Where the tests run in the background, a shell has them ignore it.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     wait_for(lambda: trials.exists() and trials.read_text().count("\n") > 1)
     # As a terminal does: to the workers as well.
