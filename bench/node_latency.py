@@ -24,11 +24,11 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from trajectory_msgs.msg import JointTrajectory
 
-from gtmr_msgs_py import stamps, topics
+from gtmr_msgs_py import topics
 from gtmr_msgs_py.environment import ros_environment
-from gtmr_msgs_py.process import run
+from gtmr_msgs_py.process import PROMPT, run
+from gtmr_msgs_py.rotor_command import RotorPlan
 from gtmr_nmpc import Controller, ControllerConfig
 from gtmr_sim.node import SimNode
 from gtmr_study.bench import machine
@@ -73,11 +73,11 @@ class TimedSimNode(SimNode):
         self._published[self._session.stamp_ns] = time.monotonic()
         super()._publish_state()
 
-    def _on_command(self, msg: JointTrajectory) -> None:
-        published = self._published.get(stamps.decode(msg.header.stamp))
+    def _play(self, plan: RotorPlan) -> None:
+        published = self._published.get(plan.stamp_ns)
         if published is not None and published - self.started_at > WARM_UP_S:
             self.latencies_s.append(time.monotonic() - published)
-        super()._on_command(msg)
+        super()._play(plan)
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
@@ -121,7 +121,7 @@ def main() -> None:
 
     try:
         duration_s = WARM_UP_S + 60.0 * given.minutes
-        run(make, [*common, "-p", f"duration_s:={duration_s}"])
+        run(make, [*common, "-p", f"duration_s:={duration_s}"], PROMPT)
     finally:
         controller.send_signal(signal.SIGINT)
         controller.wait()

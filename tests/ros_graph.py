@@ -25,6 +25,7 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 
 from gtmr_msgs_py.environment import ros_environment
+from gtmr_msgs_py.listening import PATIENT
 from gtmr_msgs_py.topics import Topic
 from gtmr_nmpc import Controller
 
@@ -148,7 +149,7 @@ class RosGraph:
     def listen(self, topics: Iterable[Topic]) -> None:
         """Keep every message of some topics in ``received``, by topic name."""
         for topic in topics:
-            topic.subscription(self.node, self.received[topic.name].append)
+            topic.subscription(self.node, self.received[topic.name].append, PATIENT)
 
     def newcomer_finds(self, *names: str) -> float:
         """Start another participant; how long it takes to find some nodes and a publisher [s]."""

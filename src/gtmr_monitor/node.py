@@ -13,7 +13,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Annotated, Any, ClassVar
 
-from nav_msgs.msg import Odometry
 from pydantic import Field, field_validator
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.clock import Clock
@@ -21,7 +20,7 @@ from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 
 from gtmr_model import ConfigError, Tower, YamlModel
 from gtmr_monitor.bag import BagError, without_tail
@@ -217,7 +216,7 @@ class MonitorNode(SuiteNode):
         self._write(vehicle.odometry_name, data, came_ns, info["source_timestamp"])
         tower = self._settings.value.tower
         try:
-            stamp_ns, x = odometry.decode(deserialize_message(data, Odometry))
+            stamp_ns, x = odometry.unpack(data)
         except MessageError as error:
             vehicle.unusable += 1
             self.get_logger().warning(f"ignored: {error}", throttle_duration_sec=WARNING_PERIOD_S)

@@ -22,8 +22,11 @@ if TYPE_CHECKING:
 
 FROM_ANY_ESTIMATOR = (Odometry, JointState)
 """Messages that on a real vehicle come from elsewhere, often best effort."""
-BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""What is asked for where a publisher offers no more."""
+PATIENT = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
+"""What a recorder asks for: in lockstep a simulator may well be faster than a recorder, and 2000
+messages of the control loop are a flight of 50 s."""
+BEST_EFFORT = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""What it asks for where a publisher offers no more."""
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 """Every event handler is one more thing to wait for, at every message of any topic."""
 
@@ -57,7 +60,7 @@ def listen(node: Node, topic: Topic, on_message: OnMessage) -> None:
         events = SubscriptionEventCallbacks(
             incompatible_qos=lambda _: ask_for_less(), use_default_callbacks=False
         )
-    reliable = _subscribe(node, topic, on_message, topic.qos, events)
+    reliable = _subscribe(node, topic, on_message, PATIENT, events)
 
 
 def take_what_arrived(node: Node) -> None:

@@ -9,15 +9,26 @@ and nowhere else.
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
-from geometry_msgs.msg import Point, Vector3
+from geometry_msgs.msg import Point, Quaternion, Vector3
 from nav_msgs.msg import Odometry
 from numpy.typing import ArrayLike, NDArray
+from rclpy.serialization import deserialize_message
 
 from gtmr_model.dynamics import ATTITUDE, POSITION, RATE, VELOCITY
 from gtmr_msgs_py import attitude, stamps
+from gtmr_msgs_py.fixed_cdr import FixedCdr
 from gtmr_msgs_py.message_error import MessageError
 from gtmr_msgs_py.topics import BASE_LINK, MAP
+
+POSE = slice(0, 7)
+"""Position and quaternion among the numbers of the message."""
+TWIST = slice(43, 49)
+"""Linear and angular velocity among them."""
+NUMBERS = 85
+"""How many there are, with two covariances of 36."""
 
 
 def encode(stamp_ns: int, x: ArrayLike) -> Odometry:
@@ -68,15 +79,89 @@ def decode(msg: Odometry) -> tuple[int, NDArray[np.float64]]:
         If a number is not finite or the orientation is no unit quaternion.
     """
     pose, twist = msg.pose.pose, msg.twist.twist
-    body_to_world = attitude.rotation(pose.orientation)
+    x = _state(
+        (pose.position.x, pose.position.y, pose.position.z),
+        pose.orientation,
+        (twist.linear.x, twist.linear.y, twist.linear.z),
+        (twist.angular.x, twist.angular.y, twist.angular.z),
+    )
+    return stamps.decode(msg.header.stamp), x
+
+
+def pack(stamp_ns: int, x: ArrayLike) -> bytes:
+    """Make the odometry of a state as `encode` does, as the bytes that go over the wire.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        When the state was measured [ns].
+    x : array_like, shape (12,) or longer
+        State [p, eta, v, omega, ...]: m, rad, m/s, rad/s; p and v in world ENU, omega in body FLU.
+
+    Returns
+    -------
+    bytes
+        CDR.
+    """
+    state = np.asarray(x, dtype=float)
+    q = attitude.encode(state[ATTITUDE])
+    numbers = np.zeros(NUMBERS)
+    numbers[POSE] = *state[POSITION], q.x, q.y, q.z, q.w
+    numbers[TWIST] = *(attitude.rotation(q).T @ state[VELOCITY]), *state[RATE]
+    return _layout().pack(stamp_ns, numbers)
+
+
+def unpack(data: bytes) -> tuple[int, NDArray[np.float64]]:
+    """Read the state as `decode` does, out of bytes; those of `pack` in a fifth of the time.
+
+    Parameters
+    ----------
+    data : bytes
+        CDR of a nav_msgs/Odometry from anywhere.
+
+    Returns
+    -------
+    stamp_ns : int
+        When the state was measured [ns].
+    x : NDArray, shape (12,)
+        State [p, eta, v, omega]; yaw is within -pi to pi.
+
+    Raises
+    ------
+    MessageError
+        If a number is not finite or the orientation is no unit quaternion.
+    """
+    unpacked = _layout().unpack(data)
+    if unpacked is None:
+        return decode(deserialize_message(data, Odometry))
+    stamp_ns, numbers = unpacked
+    p_x, p_y, p_z, q_x, q_y, q_z, q_w = numbers[POSE].tolist()
+    twist = numbers[TWIST]
+    orientation = Quaternion(x=q_x, y=q_y, z=q_z, w=q_w)
+    return stamp_ns, _state((p_x, p_y, p_z), orientation, twist[:3], twist[3:])
+
+
+def _state(
+    position: ArrayLike, orientation: Quaternion, linear: ArrayLike, angular: ArrayLike
+) -> NDArray[np.float64]:
+    """Turn the twist, which a message has in the child frame, and the attitude."""
+    body_to_world = attitude.rotation(orientation)
     x = np.empty(12)
-    x[POSITION] = pose.position.x, pose.position.y, pose.position.z
+    x[POSITION] = position
     x[ATTITUDE] = attitude.roll_pitch_yaw(body_to_world)
-    x[VELOCITY] = body_to_world @ (twist.linear.x, twist.linear.y, twist.linear.z)
-    x[RATE] = twist.angular.x, twist.angular.y, twist.angular.z
+    x[VELOCITY] = body_to_world @ np.asarray(linear)
+    x[RATE] = angular
     if not np.isfinite(x).all():
         raise MessageError(f"odometry is not finite: {x}")
-    return stamps.decode(msg.header.stamp), x
+    return x
+
+
+@cache
+def _layout() -> FixedCdr:
+    layout = FixedCdr(MAP)
+    layout.string(BASE_LINK)
+    layout.float64(NUMBERS)
+    return layout
 
 
 def _xyz(message: type, values: NDArray[np.float64]) -> Point | Vector3:

@@ -11,18 +11,34 @@ import sys
 from collections.abc import Callable
 
 import rclpy
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 
 from gtmr_model import ConfigError
 from gtmr_msgs_py.suite_node import SuiteNode
 
+try:
+    from rclpy.experimental import EventsExecutor as Prompt
+except ModuleNotFoundError:
+    # The first releases of Jazzy have none.
+    Prompt = SingleThreadedExecutor
+
 BAD_INPUT = 2
 """Exit code when a parameter or an argument cannot be used."""
+PROMPT: Callable[[], Executor] = Prompt
+"""Hands a message on in half the time of rclpy's usual executor, which at every message waits for
+everything anew; of rclpy 7.1.6 it has no callbacks that ask what the middleware tells of it."""
+WAIT_S = 1.0
+"""How long to wait for anything to happen before looking whether to go on [s]; without any such
+limit `PROMPT` of rclpy 7.1.6 handles nothing."""
 MANAGED = "--managed"
 """Argument that makes a node wait for its lifecycle services to configure and activate it."""
 
 
-def run(make_node: Callable[[bool], SuiteNode], args: list[str] | None = None) -> int:
+def run(
+    make_node: Callable[[bool], SuiteNode],
+    args: list[str] | None = None,
+    make_executor: Callable[[], Executor] = SingleThreadedExecutor,
+) -> int:
     """Run one node until it is told to stop.
 
     Parameters
@@ -32,11 +48,13 @@ def run(make_node: Callable[[bool], SuiteNode], args: list[str] | None = None) -
         arguments says; a ConfigError is reported in one line.
     args : list of str, optional
         Command line with ROS arguments; ``sys.argv`` if left out.
+    make_executor : callable
+        Makes what calls the node back: `PROMPT` in the control loop.
 
     Returns
     -------
     int
-        Exit code: 0 after SIGINT, SIGTERM or the node's own end (SystemExit), 2 for bad input.
+        Exit code: 0 after SIGINT, SIGTERM or the node's own end, 2 for bad input.
     """
     try:
         rclpy.init(args=args)
@@ -53,8 +71,11 @@ def run(make_node: Callable[[bool], SuiteNode], args: list[str] | None = None) -
         # What start-up made lives as long as the process: no collection need look at it again.
         gc.collect()
         gc.freeze()
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException, SystemExit):
+        executor = make_executor()
+        executor.add_node(node)
+        while rclpy.ok() and not node.over:
+            executor.spin_once(WAIT_S)
+    except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except ConfigError as error:
         sys.stderr.write(f"error: {error}\n")

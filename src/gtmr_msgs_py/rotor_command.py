@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from builtin_interfaces.msg import Duration
 from numpy.typing import ArrayLike, NDArray
+from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from gtmr_msgs_py import stamps
+from gtmr_msgs_py.fixed_cdr import FixedCdr
 from gtmr_msgs_py.message_error import MessageError
 from gtmr_msgs_py.rotor_states import RAD_PER_TURN, rotor_names
 
@@ -52,31 +53,17 @@ def encode(stamp_ns: int, step_ns: int, xi: ArrayLike, u: ArrayLike) -> JointTra
     trajectory_msgs.msg.JointTrajectory
         N + 1 points; at the last one the accelerations are zero: hold that speed.
     """
-    velocities = RAD_PER_TURN * np.asarray(xi, dtype=float)
-    accelerations = RAD_PER_TURN * np.asarray(u, dtype=float)
-    accelerations = np.vstack([accelerations, np.zeros(accelerations.shape[1])])
-    # From lists and with the times of the last command: this is on the way of every command.
     points = [
         JointTrajectoryPoint(
             velocities=array("d", velocity),
             accelerations=array("d", acceleration),
-            time_from_start=time_from_start,
+            time_from_start=stamps.encode_duration(i * step_ns),
         )
-        for velocity, acceleration, time_from_start in zip(
-            velocities.tolist(),
-            accelerations.tolist(),
-            _times_from_start(step_ns, len(velocities)),
-            strict=True,
-        )
+        for i, (velocity, acceleration) in enumerate(_points(xi, u))
     ]
-    msg = JointTrajectory(joint_names=rotor_names(velocities.shape[1]), points=points)
+    msg = JointTrajectory(joint_names=rotor_names(len(points[0].velocities)), points=points)
     msg.header.stamp = stamps.encode(stamp_ns)
     return msg
-
-
-@lru_cache(maxsize=2)
-def _times_from_start(step_ns: int, count: int) -> tuple[Duration, ...]:
-    return tuple(stamps.encode_duration(i * step_ns) for i in range(count))
 
 
 def decode(msg: JointTrajectory, n_rotors: int) -> RotorPlan:
@@ -117,6 +104,101 @@ def decode(msg: JointTrajectory, n_rotors: int) -> RotorPlan:
         raise MessageError(f"rotor_command has points at {times_ns} ns: expected an even spacing")
     xi = np.array([point.velocities for point in msg.points]) / RAD_PER_TURN
     u = np.array([point.accelerations for point in msg.points[:-1]]) / RAD_PER_TURN
-    if not (np.isfinite(xi).all() and np.isfinite(u).all()):
+    return _finite(RotorPlan(stamps.decode(msg.header.stamp), step_ns, xi, u))
+
+
+def pack(stamp_ns: int, step_ns: int, xi: ArrayLike, u: ArrayLike) -> bytes:
+    """Make a command as `encode` does, as the bytes that go over the wire.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        Stamp of the odometry that it was planned from [ns].
+    step_ns : int
+        T_s [ns].
+    xi : array_like, shape (N + 1, N_p)
+        Planned rotor speeds [Hz].
+    u : array_like, shape (N, N_p)
+        Planned rotor accelerations [Hz/s].
+
+    Returns
+    -------
+    bytes
+        CDR.
+    """
+    points = _points(xi, u)
+    return _layout(step_ns, len(points), points.shape[2]).pack(stamp_ns, points.ravel())
+
+
+class Reader:
+    """Reads commands out of bytes; one of the same shape as the last without looking at it again.
+
+    Parameters
+    ----------
+    n_rotors : int
+        N_p, how many rotors the vehicle has.
+    """
+
+    def __init__(self, n_rotors: int) -> None:
+        self._n_rotors = n_rotors
+        self._step_ns = 0
+        self._layout: FixedCdr | None = None
+
+    def unpack(self, data: bytes) -> RotorPlan:
+        """Read the plan as `decode` does.
+
+        Parameters
+        ----------
+        data : bytes
+            CDR of a trajectory_msgs/JointTrajectory from anywhere.
+
+        Returns
+        -------
+        RotorPlan
+            The accelerations of the last point are left out.
+
+        Raises
+        ------
+        MessageError
+            If rotors or points are missing, points are not evenly spaced or numbers are not
+            finite.
+        """
+        unpacked = None if self._layout is None else self._layout.unpack(data)
+        if unpacked is None:
+            plan = decode(deserialize_message(data, JointTrajectory), self._n_rotors)
+            self._step_ns = plan.step_ns
+            self._layout = _layout(plan.step_ns, *plan.xi.shape)
+            return plan
+        stamp_ns, numbers = unpacked
+        points = numbers.reshape(-1, 2, self._n_rotors) / RAD_PER_TURN
+        return _finite(RotorPlan(stamp_ns, self._step_ns, points[:, 0], points[:-1, 1]))
+
+
+def _points(xi: ArrayLike, u: ArrayLike) -> NDArray[np.float64]:
+    """Velocities and accelerations as messages have them, shape (N + 1, 2, N_p) [rad/s, ...]."""
+    xi = np.asarray(xi, dtype=float)
+    points = np.zeros((len(xi), 2, xi.shape[1]))
+    points[:, 0] = xi
+    points[:-1, 1] = u
+    return RAD_PER_TURN * points
+
+
+def _finite(plan: RotorPlan) -> RotorPlan:
+    if not (np.isfinite(plan.xi).all() and np.isfinite(plan.u).all()):
         raise MessageError("rotor_command has numbers that are not finite")
-    return RotorPlan(stamps.decode(msg.header.stamp), step_ns, xi, u)
+    return plan
+
+
+@lru_cache(maxsize=4)
+def _layout(step_ns: int, n_points: int, n_rotors: int) -> FixedCdr:
+    layout = FixedCdr()
+    layout.strings(rotor_names(n_rotors))
+    layout.uint32(n_points)
+    for i in range(n_points):
+        # Neither positions nor efforts.
+        layout.uint32(0, n_rotors)
+        layout.float64(n_rotors)
+        layout.uint32(n_rotors)
+        layout.float64(n_rotors)
+        layout.uint32(0, *divmod(i * step_ns, stamps.NANOSECONDS))
+    return layout

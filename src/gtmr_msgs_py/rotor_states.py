@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import math
 from array import array
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from gtmr_msgs_py import stamps
+from gtmr_msgs_py.fixed_cdr import FixedCdr
 from gtmr_msgs_py.message_error import MessageError
 
 RAD_PER_TURN = 2.0 * math.pi
@@ -86,6 +89,69 @@ def decode(msg: JointState, n_rotors: int) -> tuple[int, NDArray[np.float64]]:
         )
     if names and names != expected:
         xi = xi[[names.index(name) for name in expected]]
+    return stamps.decode(msg.header.stamp), _finite(xi)
+
+
+def pack(stamp_ns: int, xi: ArrayLike) -> bytes:
+    """Make the rotor states as `encode` does, as the bytes that go over the wire.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        When they were measured [ns]: the stamp of the odometry they belong to.
+    xi : array_like, shape (N_p,)
+        Rotor speeds [Hz].
+
+    Returns
+    -------
+    bytes
+        CDR.
+    """
+    speeds = RAD_PER_TURN * np.asarray(xi, dtype=float)
+    return _layout(len(speeds)).pack(stamp_ns, speeds)
+
+
+def unpack(data: bytes, n_rotors: int) -> tuple[int, NDArray[np.float64]]:
+    """Read the rotor speeds as `decode` does, out of bytes; fast those of `pack`.
+
+    Parameters
+    ----------
+    data : bytes
+        CDR of a sensor_msgs/JointState from anywhere.
+    n_rotors : int
+        N_p, how many rotors the vehicle has.
+
+    Returns
+    -------
+    stamp_ns : int
+        When they were measured [ns].
+    xi : NDArray, shape (N_p,)
+        Rotor speeds [Hz].
+
+    Raises
+    ------
+    MessageError
+        If rotors are missing, or a speed is not finite.
+    """
+    unpacked = _layout(n_rotors).unpack(data)
+    if unpacked is None:
+        return decode(deserialize_message(data, JointState), n_rotors)
+    stamp_ns, speeds = unpacked
+    return stamp_ns, _finite(speeds / RAD_PER_TURN)
+
+
+def _finite(xi: NDArray[np.float64]) -> NDArray[np.float64]:
     if not np.isfinite(xi).all():
         raise MessageError(f"rotor_states is not finite: {xi} Hz")
-    return stamps.decode(msg.header.stamp), xi
+    return xi
+
+
+@cache
+def _layout(n_rotors: int) -> FixedCdr:
+    layout = FixedCdr()
+    layout.strings(rotor_names(n_rotors))
+    # Neither positions nor efforts.
+    layout.uint32(0, n_rotors)
+    layout.float64(n_rotors)
+    layout.uint32(0)
+    return layout

@@ -32,6 +32,8 @@ class SuiteNode(LifecycleNode):
         self.connected = False
         """Whether it takes part in the graph; only then need parameters be applied at once, as
         connecting applies them too."""
+        self.over = False
+        """Whether it has done what it was started for, so that its process may end."""
         self._kept: list[list[Any]] = []
 
     def start(self) -> None:

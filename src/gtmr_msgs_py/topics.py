@@ -44,7 +44,7 @@ OFFERED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""What every publisher offers and a recorder asks for: nothing is lost to a short stall."""
+"""What every publisher offers: nothing is lost to a short stall."""
 NEWEST = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,

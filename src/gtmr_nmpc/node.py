@@ -7,16 +7,16 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import ClassVar, cast
+from collections.abc import Callable
+from functools import partial
+from typing import ClassVar
 
 import numpy as np
-from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
 from pydantic import Field
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.publisher import Publisher
-from sensor_msgs.msg import JointState
-from trajectory_msgs.msg import JointTrajectory
 
 from gtmr_model.dynamics import ATTITUDE, POSITION, ROTORS
 from gtmr_msgs_py import (
@@ -34,7 +34,7 @@ from gtmr_msgs_py import (
 from gtmr_msgs_py.diagnostics import Level
 from gtmr_msgs_py.message_error import MessageError
 from gtmr_msgs_py.parameters import ModelParameters
-from gtmr_msgs_py.process import run
+from gtmr_msgs_py.process import PROMPT, run
 from gtmr_msgs_py.suite_node import SuiteNode
 from gtmr_nmpc.config import MODES, ControllerConfig, Mode
 from gtmr_nmpc.controller import Controller
@@ -54,6 +54,9 @@ REFERENCE_POSES = 41
 """How many poses of the reference ahead: 20 s."""
 WARNING_PERIOD_S = 5.0
 """Least time between two warnings about the same [s]."""
+
+Stamped = tuple[int, NDArray[np.float64]]
+"""Stamp [ns] and what was measured then."""
 
 
 class NmpcParameters(ControllerConfig):
@@ -114,9 +117,9 @@ class NmpcNode(SuiteNode):
         self._warm_up()
         self._schedule = Schedule(stamps.nanoseconds(config.sampling_time_s))
         self._performance = Performance(config.sampling_time_s)
-        self._last_odometry: Odometry | None = None
-        self._last_rotor_states: JointState | None = None
-        self._last_command: JointTrajectory | None = None
+        self._odometry: Stamped | None = None
+        self._rotor_states: Stamped | None = None
+        self._last_command = b""
         self._unusable = 0
         self._steps_reported = 0
         self._published_ns: dict[Publisher, int] = {}
@@ -136,8 +139,8 @@ class NmpcNode(SuiteNode):
         self.create_timer(
             DIAGNOSTICS_PERIOD_S, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME)
         )
-        topics.ODOM.subscription(self, self._on_odometry, topics.NEWEST)
-        topics.ROTOR_STATES.subscription(self, self._on_rotor_states, topics.NEWEST)
+        topics.ODOM.subscription(self, self._on_odometry, topics.NEWEST, raw=True)
+        topics.ROTOR_STATES.subscription(self, self._on_rotor_states, topics.NEWEST, raw=True)
         self.get_logger().info(
             f"{config.vehicle.name}, {config.mode} mode, every {1e3 * config.sampling_time_s:g} ms"
         )
@@ -166,16 +169,25 @@ class NmpcNode(SuiteNode):
         # What was prepared is of no use any more; now it costs no time in the next step.
         self._controller.prepare(stamps.seconds(self._schedule.next_ns))
 
-    def _on_odometry(self, msg: Odometry) -> None:
-        self._last_odometry = msg
+    def _on_odometry(self, data: bytes) -> None:
+        self._odometry = self._read(odometry.unpack, data)
         self._step_if_due()
 
-    def _on_rotor_states(self, msg: JointState) -> None:
-        self._last_rotor_states = msg
+    def _on_rotor_states(self, data: bytes) -> None:
+        n_rotors = self._settings.value.vehicle.n_rotors
+        self._rotor_states = self._read(partial(rotor_states.unpack, n_rotors=n_rotors), data)
         self._step_if_due()
+
+    def _read(self, unpack: Callable[[bytes], Stamped], data: bytes) -> Stamped | None:
+        self._arrival = time.perf_counter()
+        try:
+            return unpack(data)
+        except MessageError as error:
+            self._unusable += 1
+            self.get_logger().warning(f"ignored: {error}", throttle_duration_sec=WARNING_PERIOD_S)
+            return None
 
     def _step_if_due(self) -> None:
-        arrival = time.perf_counter()
         state = self._take_state()
         if state is None or not self._recorders_listen():
             return
@@ -184,39 +196,30 @@ class NmpcNode(SuiteNode):
         if due is Due.NOTHING:
             return
         if due is Due.REPEAT:
-            self._rotor_command.publish(cast(JointTrajectory, self._last_command))
+            self._rotor_command.publish(self._last_command)
             return
         if due is Due.RESTART:
             self._controller.reset()
         solution = self._controller.step(stamps.seconds(self._schedule.time_ns), x)
-        self._last_command = rotor_command.encode(
+        self._last_command = rotor_command.pack(
             stamp_ns, self._schedule.period_ns, solution.x_plan[:, ROTORS], solution.u_plan
         )
         self._rotor_command.publish(self._last_command)
-        self._performance.add(solution, time.perf_counter() - arrival)
+        self._performance.add(solution, time.perf_counter() - self._arrival)
         self._publish_step(stamp_ns, solution)
         self._controller.prepare(stamps.seconds(self._schedule.next_ns))
         self._publish_scene(stamp_ns, solution)
 
-    def _take_state(self) -> tuple[int, np.ndarray] | None:
+    def _take_state(self) -> Stamped | None:
         """Odometry and rotor states that belong together, once, whichever came first."""
-        if self._last_odometry is None or self._last_rotor_states is None:
+        if self._odometry is None or self._rotor_states is None:
             return None
-        apart_ns = abs(
-            stamps.decode(self._last_odometry.header.stamp)
-            - stamps.decode(self._last_rotor_states.header.stamp)
-        )
-        if apart_ns > stamps.nanoseconds(self._settings.value.max_stamp_difference_s):
+        (stamp_ns, rigid_body), (rotors_stamp_ns, xi) = self._odometry, self._rotor_states
+        if abs(stamp_ns - rotors_stamp_ns) > stamps.nanoseconds(
+            self._settings.value.max_stamp_difference_s
+        ):
             return None
-        pair = self._last_odometry, self._last_rotor_states
-        self._last_odometry = self._last_rotor_states = None
-        try:
-            stamp_ns, rigid_body = odometry.decode(pair[0])
-            _, xi = rotor_states.decode(pair[1], self._settings.value.vehicle.n_rotors)
-        except MessageError as error:
-            self._unusable += 1
-            self.get_logger().warning(f"ignored: {error}", throttle_duration_sec=WARNING_PERIOD_S)
-            return None
+        self._odometry = self._rotor_states = None
         return stamp_ns, np.concatenate([rigid_body, xi])
 
     def _recorders_listen(self) -> bool:
@@ -320,7 +323,7 @@ def main(args: list[str] | None = None) -> int:
     int
         Exit code: 0 after SIGINT, 2 for a bad parameter.
     """
-    return run(NmpcNode, args)
+    return run(NmpcNode, args, PROMPT)
 
 
 if __name__ == "__main__":

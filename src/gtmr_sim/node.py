@@ -15,7 +15,6 @@ from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory
 
 from gtmr_model.dynamics import ROTORS
 from gtmr_msgs_py import (
@@ -31,7 +30,8 @@ from gtmr_msgs_py import (
 from gtmr_msgs_py.diagnostics import Level
 from gtmr_msgs_py.message_error import MessageError
 from gtmr_msgs_py.parameters import ModelParameters
-from gtmr_msgs_py.process import run
+from gtmr_msgs_py.process import PROMPT, run
+from gtmr_msgs_py.rotor_command import RotorPlan
 from gtmr_msgs_py.suite_node import SuiteNode
 from gtmr_sim.scenario import Scenario
 from gtmr_sim.session import Session
@@ -159,6 +159,7 @@ class SimNode(SuiteNode):
             scenario.lockstep,
             scenario.duration_s,
         )
+        self._commands = rotor_command.Reader(scenario.vehicle.n_rotors)
         self._published_at = 0.0
         self._reported = (time.monotonic(), 0)
 
@@ -182,7 +183,7 @@ class SimNode(SuiteNode):
         self.create_timer(0.5 * RESEND_PERIOD_S, self._resend, clock=wall)
         self.create_timer(MARKERS_PERIOD_S, self._draw, clock=wall)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose, clock=wall)
-        topics.ROTOR_COMMAND.subscription(self, self._on_command, topics.NEWEST)
+        topics.ROTOR_COMMAND.subscription(self, self._on_command, topics.NEWEST, raw=True)
         zeta = ", ".join(f"{value:.3g}" for value in scenario.zeta)
         self.get_logger().info(f"{scenario.vehicle.name}, zeta = [{zeta}], awaits a controller")
 
@@ -202,10 +203,10 @@ class SimNode(SuiteNode):
         self._set_pace()
         self._tick_if_unpaced()
 
-    def _on_command(self, msg: JointTrajectory) -> None:
+    def _on_command(self, data: bytes) -> None:
         scenario = self._settings.value
         try:
-            plan = rotor_command.decode(msg, scenario.vehicle.n_rotors)
+            plan = self._commands.unpack(data)
             if plan.step_ns != stamps.nanoseconds(scenario.sampling_time_s):
                 raise MessageError(
                     f"rotor_command has points every {stamps.seconds(plan.step_ns)} s: expected "
@@ -214,6 +215,9 @@ class SimNode(SuiteNode):
         except MessageError as error:
             self.get_logger().warning(f"ignored: {error}", throttle_duration_sec=WARNING_PERIOD_S)
             return
+        self._play(plan)
+
+    def _play(self, plan: RotorPlan) -> None:
         first = not self._session.started
         taken = self._session.command(plan.stamp_ns, plan.u)
         if first and taken:
@@ -237,9 +241,10 @@ class SimNode(SuiteNode):
 
     def _publish_state(self) -> None:
         stamp_ns, x = self._session.stamp_ns, self._session.x
+        # The controller waits for these two.
+        self._odometry.publish(odometry.pack(stamp_ns, x))
+        self._rotor_states.publish(rotor_states.pack(stamp_ns, x[ROTORS]))
         self._clock_time.publish(ClockMessage(clock=stamps.encode(stamp_ns)))
-        self._odometry.publish(odometry.encode(stamp_ns, x))
-        self._rotor_states.publish(rotor_states.encode(stamp_ns, x[ROTORS]))
         if self._transform is not None:
             self._transform.publish(transforms.encode(stamp_ns, x))
         self._published_at = time.monotonic()
@@ -265,7 +270,7 @@ class SimNode(SuiteNode):
         self._diagnose()
         for publisher in (self._odometry, self._rotor_states, self._clock_time, self._diagnostics):
             publisher.wait_for_all_acked(Duration(seconds=DELIVERY_TIMEOUT_S))
-        raise SystemExit
+        self.over = True
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._session.reset()
@@ -336,7 +341,7 @@ def main(args: list[str] | None = None) -> int:
     int
         Exit code: 0 after the flight or SIGINT, 2 for a bad parameter.
     """
-    return run(SimNode, args)
+    return run(SimNode, args, PROMPT)
 
 
 if __name__ == "__main__":
