@@ -79,10 +79,12 @@ static double excess_at_zero(const gtmr_controller *c, const active_row *a)
 /* v of the multipliers. */
 static void minimiser(gtmr_controller *c)
 {
-    memset(c->v, 0, sizeof c->v);
+    double by[LD_ACTIVE];
     for (int i = 0; i < c->active.count; ++i) {
-        add_row(c, &c->active.member[i], -c->active.member[i].lambda, c->v);
+        by[i] = -c->active.member[i].lambda;
     }
+    memset(c->v, 0, sizeof c->v);
+    working_set_combine(c, by, c->v);
 }
 
 /*
@@ -91,12 +93,14 @@ static void minimiser(gtmr_controller *c)
  */
 static void measure_excess(gtmr_controller *c)
 {
+    double change[LD_ACTIVE];
     minimiser(c);
+    working_set_along(c, c->v, LD_V, change);
     c->active.settled = 0;
     for (int i = 0; i < c->active.count; ++i) {
         active_row *a = &c->active.member[i];
         const double slack = a->soft ? compliance(c, a) * (a->lambda - a->cap) : 0.0;
-        a->excess = excess_at_zero(c, a) + along(c, a, c->v) - slack;
+        a->excess = excess_at_zero(c, a) + change[i] - slack;
     }
 }
 
@@ -224,15 +228,23 @@ static void changes(const gtmr_controller *c, double *change)
 {
     double speed[N_U] = {0.0};
     for (int i = 0; i < STAGES; ++i) {
-        for (int j = 0; j < N_U; ++j) {
-            const int input = row_of(i, j);
-            change[input] = dot(c->rows[input], c->v, row_length(input));
-            /* Speeds are sums of inputs: no need to go through their rows. */
-            speed[j] += PERIOD_S * change[input];
-            change[row_of(i, N_U + j)] = speed[j];
+        const int first = row_of(i, 0), length = row_length(first);
+        for (int j = 0; j < N_U; j += TILE_ROWS) {
+            const double *row[TILE_ROWS];
+            double along[TILE_ROWS];
+            for (int r = 0; r < TILE_ROWS; ++r) {
+                /* Past the last input, clearance. */
+                row[r] = c->rows[first + (j + r < N_U ? j + r : CLEARANCE)];
+            }
+            dot_tile(TILE_ROWS, row, c->v, length, along);
+            for (int r = 0; r < TILE_ROWS && j + r < N_U; ++r) {
+                change[first + j + r] = along[r];
+                /* Speeds are sums of inputs: no need to go through their rows. */
+                speed[j + r] += PERIOD_S * along[r];
+                change[first + N_U + j + r] = speed[j + r];
+            }
         }
-        const int clearance = row_of(i, CLEARANCE);
-        change[clearance] = dot(c->rows[clearance], c->v, row_length(clearance));
+        change[first + CLEARANCE] = dot(c->rows[first + CLEARANCE], c->v, length);
     }
 }
 

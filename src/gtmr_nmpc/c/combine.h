@@ -101,6 +101,38 @@ static inline double dot(const double *a, const double *b, int length)
     return sum(even + odd);
 }
 
+/* Products of rows with one vector: each alone would wait for its own sums. */
+UNROLLED void dot_tile(int rows, const double *const *row, const double *with, int length,
+                       double *out)
+{
+    vec total[TILE_ROWS];
+    for (int r = 0; r < rows; ++r) {
+        total[r] = vec_of(0.0);
+    }
+    for (int i = 0; i < length; i += VEC) {
+        const vec term = load(with + i);
+        for (int r = 0; r < rows; ++r) {
+            total[r] += load(row[r] + i) * term;
+        }
+    }
+    for (int r = 0; r < rows; ++r) {
+        out[r] = sum(total[r]);
+    }
+}
+
+/* out += sum_r factor[r] row[r]. */
+UNROLLED void add_tile(int rows, const double *factor, const double *const *row, int length,
+                       double *out)
+{
+    for (int i = 0; i < length; i += VEC) {
+        vec total = load(out + i);
+        for (int r = 0; r < rows; ++r) {
+            total += factor[r] * load(row[r] + i);
+        }
+        store(out + i, total);
+    }
+}
+
 static inline void add_scaled(double *out, double factor, const double *in, int length)
 {
     for (int i = 0; i < length; i += VEC) {

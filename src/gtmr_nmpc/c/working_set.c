@@ -16,48 +16,108 @@ double compliance(const gtmr_controller *c, const active_row *a)
     return a->soft ? a->scale * a->scale / (2.0 * c->parameters.slack_l2) : 0.0;
 }
 
-double along(const gtmr_controller *c, const active_row *a, const double *v)
+/* TILE_ROWS members from `first` on; past the end the last one again. Returns their length. */
+static int tile_of(const gtmr_controller *c, int first, const active_row *member[TILE_ROWS],
+                   const double *row[TILE_ROWS])
 {
-    return a->side * a->scale * dot(c->rows[a->row], v, row_length(a->row));
+    const int last = c->active.count - 1;
+    int length = 0;
+    for (int r = 0; r < TILE_ROWS; ++r) {
+        member[r] = &c->active.member[first + r < last ? first + r : last];
+        row[r] = c->rows[member[r]->row];
+        /* Behind a row's own length there are zeros. */
+        length = row_length(member[r]->row) > length ? row_length(member[r]->row) : length;
+    }
+    return length;
 }
 
-void add_row(const gtmr_controller *c, const active_row *a, double factor, double *v)
+void working_set_along(const gtmr_controller *c, const double *v, int length, double *out)
 {
-    add_scaled(v, factor * a->side * a->scale, c->rows[a->row], row_length(a->row));
+    const active_row *member[TILE_ROWS];
+    const double *row[TILE_ROWS];
+    for (int i = 0; i < c->active.count; i += TILE_ROWS) {
+        const int longest = tile_of(c, i, member, row);
+        dot_tile(TILE_ROWS, row, v, longest < length ? longest : length, out + i);
+        for (int r = 0; r < TILE_ROWS; ++r) {
+            out[i + r] *= member[r]->side * member[r]->scale;
+        }
+    }
 }
 
-/* Solve L y = y; what lies behind the end of y is overwritten. */
+void working_set_combine(const gtmr_controller *c, const double *by, double *v)
+{
+    const active_row *member[TILE_ROWS];
+    const double *row[TILE_ROWS];
+    for (int i = 0; i < c->active.count; i += TILE_ROWS) {
+        double factor[TILE_ROWS];
+        const int length = tile_of(c, i, member, row);
+        for (int r = 0; r < TILE_ROWS; ++r) {
+            const int counts = i + r < c->active.count;
+            factor[r] = counts ? by[i + r] * member[r]->side * member[r]->scale : 0.0;
+        }
+        add_tile(TILE_ROWS, factor, row, length, v);
+    }
+}
+
+/* Several columns at a time, as each alone waits for the one before it. */
 void working_set_forward(const working_set *set, double *y)
 {
     int j = 0;
     while (j < set->count && y[j] == 0.0) {
         ++j;
     }
-    for (; j < set->count; ++j) {
-        const double known = y[j] * set->inverse_diagonal[j];
-        const double *column = set->factor[j];
-        for (int i = j / VEC * VEC; i < set->count; i += VEC) {
-            store(y + i, load(y + i) - known * load(column + i));
+    for (j -= j % TILE_ROWS; j + TILE_ROWS <= set->count; j += TILE_ROWS) {
+        const double *column[TILE_ROWS];
+        double known[TILE_ROWS], less[TILE_ROWS];
+        for (int r = 0; r < TILE_ROWS; ++r) {
+            double rest = y[j + r];
+            column[r] = set->factor[j + r] + j / VEC * VEC;
+            for (int k = 0; k < r; ++k) {
+                rest -= known[k] * set->factor[j + k][j + r];
+            }
+            known[r] = rest * set->inverse_diagonal[j + r];
+            less[r] = -known[r];
         }
-        y[j] = known;
+        add_tile(TILE_ROWS, less, column, set->count - j / VEC * VEC, y + j / VEC * VEC);
+        memcpy(y + j, known, sizeof known);
+    }
+    for (; j < set->count; ++j) {
+        y[j] *= set->inverse_diagonal[j];
+        for (int i = j + 1; i < set->count; ++i) {
+            y[i] -= y[j] * set->factor[j][i];
+        }
     }
 }
 
-/* Solve L' y = y. */
 void working_set_backward(const working_set *set, double *y)
 {
+    const int whole = set->count - set->count % TILE_ROWS;
     for (int i = set->count; i % VEC != 0; ++i) {
         y[i] = 0.0;
     }
-    for (int j = set->count - 1; j >= 0; --j) {
-        const double *column = set->factor[j];
-        const double unknown = y[j];
-        vec lanes = vec_of(0.0);
-        y[j] = 0.0;
-        for (int i = j / VEC * VEC; i < set->count; i += VEC) {
-            lanes += load(column + i) * load(y + i);
+    for (int j = set->count - 1; j >= whole; --j) {
+        for (int i = j + 1; i < set->count; ++i) {
+            y[j] -= set->factor[j][i] * y[i];
         }
-        y[j] = (unknown - sum(lanes)) * set->inverse_diagonal[j];
+        y[j] *= set->inverse_diagonal[j];
+    }
+    for (int j = whole - TILE_ROWS; j >= 0; j -= TILE_ROWS) {
+        const int from = j / VEC * VEC;
+        const double *column[TILE_ROWS];
+        double rest[TILE_ROWS], behind[TILE_ROWS];
+        for (int r = 0; r < TILE_ROWS; ++r) {
+            column[r] = set->factor[j + r] + from;
+        }
+        memcpy(rest, y + j, sizeof rest);
+        memset(y + j, 0, sizeof rest);
+        dot_tile(TILE_ROWS, column, y + from, PADDED(set->count) - from, behind);
+        for (int r = TILE_ROWS - 1; r >= 0; --r) {
+            rest[r] -= behind[r];
+            for (int k = r + 1; k < TILE_ROWS; ++k) {
+                rest[r] -= set->factor[j + r][j + k] * y[j + k];
+            }
+            y[j + r] = rest[r] * set->inverse_diagonal[j + r];
+        }
     }
 }
 
@@ -99,30 +159,25 @@ static double squared_sine(const gtmr_controller *c, const active_row *of, const
 {
     const working_set *set = &c->active;
     double rest[LD_V] = {0.0}, by[LD_ACTIVE], total[LD_ACTIVE] = {0.0}, own = 0.0;
-    add_row(c, of, 1.0, rest);
+    add_scaled(rest, of->side * of->scale, c->rows[of->row], row_length(of->row));
     memcpy(by, w, set->count * sizeof(double));
     for (int pass = 0; pass < 2; ++pass) {
         working_set_backward(set, by);
         for (int i = 0; i < set->count; ++i) {
             total[i] += by[i];
-            add_row(c, &set->member[i], -by[i], rest);
+            by[i] = -by[i];
         }
+        working_set_combine(c, by, rest);
+        working_set_along(c, rest, LD_V, by);
         own = 0.0;
         for (int i = 0; i < set->count; ++i) {
             const double gives = compliance(c, &set->member[i]);
             own += gives * total[i] * total[i];
-            by[i] = along(c, &set->member[i], rest) - gives * total[i];
+            by[i] -= gives * total[i];
         }
         working_set_forward(set, by);
     }
     return dot(rest, rest, LD_V) + own;
-}
-
-static double gram(const gtmr_controller *c, const active_row *a, const active_row *b)
-{
-    const int length = row_length(a->row < b->row ? a->row : b->row);
-    return a->side * a->scale * b->side * b->scale *
-           dot(c->rows[a->row], c->rows[b->row], length);
 }
 
 int working_set_append(gtmr_controller *c, const active_row *row, int needed, double *w)
@@ -134,8 +189,9 @@ int working_set_append(gtmr_controller *c, const active_row *row, int needed, do
     if (dependent && !needed) {
         return 0;
     }
+    working_set_along(c, c->rows[row->row], row_length(row->row), w);
     for (int i = 0; i < n; ++i) {
-        w[i] = gram(c, &set->member[i], row);
+        w[i] *= row->side * row->scale;
     }
     working_set_forward(set, w);
     for (int i = 0; i < n; ++i) {

@@ -26,7 +26,7 @@ enum {
     N_ROWS = STAGES * STAGE_ROWS,
     /* Independent rows at most, plus one soft row a stage, plus the row about to enter. */
     MAX_ACTIVE = N_V + STAGES + 1,
-    LD_ACTIVE = PADDED(MAX_ACTIVE)
+    LD_ACTIVE = PADDED(MAX_ACTIVE + 3) /* whole registers, and whole tiles of four */
 };
 
 /* One shooting interval: its linearisation and its part of the Riccati factorisation. */
@@ -128,11 +128,6 @@ void condense(gtmr_controller *c);
 
 /* working_set.c */
 
-/* A row's product with v, scaled, on its side of the bound. */
-double along(const gtmr_controller *c, const active_row *a, const double *v);
-
-void add_row(const gtmr_controller *c, const active_row *a, double factor, double *v);
-
 /* What a soft row adds to the diagonal of the Gram matrix: slack per multiplier. */
 double compliance(const gtmr_controller *c, const active_row *a);
 
@@ -143,7 +138,13 @@ double compliance(const gtmr_controller *c, const active_row *a);
 int working_set_append(gtmr_controller *c, const active_row *row, int needed, double *w);
 active_row working_set_remove(gtmr_controller *c, int at);
 
-/* Solve L y = y and L' y = y for the factor L; y is LD_ACTIVE long. */
+/* Products of the set's rows, scaled and on their sides, with v, of which `length` count. */
+void working_set_along(const gtmr_controller *c, const double *v, int length, double *out);
+
+/* Add a combination of the set's rows, scaled and on their sides. */
+void working_set_combine(const gtmr_controller *c, const double *by, double *v);
+
+/* Solve L y = y and L' y = y for the factor L; what is behind the end of y is overwritten. */
 void working_set_forward(const working_set *set, double *y);
 void working_set_backward(const working_set *set, double *y);
 
