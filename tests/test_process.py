@@ -3,6 +3,7 @@
 
 """A node as a process ends cleanly however an interruption reaches it."""
 
+import signal
 import subprocess
 import sys
 
@@ -40,3 +41,34 @@ def test_a_defect_is_not_taken_for_an_interruption():
     run = ended("raise SystemError('lost') from ValueError()")
     assert run.returncode == 1
     assert "lost" in run.stderr
+
+
+BUSY = """
+import sys, time
+from gtmr_msgs_py import process
+from gtmr_msgs_py.suite_node import SuiteNode
+
+class Busy(SuiteNode):
+    def start(self):
+        self.create_timer(0.001, self.work)
+
+    def work(self):
+        print("at work", flush=True)
+        time.sleep(0.3)
+        print("done", flush=True)
+
+sys.exit(process.run(lambda managed: Busy("node", managed), [], {executor}))
+"""
+
+
+@pytest.mark.parametrize("executor", ["process.PROMPT", "process.SingleThreadedExecutor"])
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_in_a_callback_lets_it_finish(stop, executor):
+    with subprocess.Popen(
+        [sys.executable, "-c", BUSY.format(executor=executor)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as node:  # fmt: skip
+        assert node.stdout.readline() == "at work\n"
+        node.send_signal(stop)
+        rest, error = node.communicate(timeout=20)
+    assert (node.returncode, rest, error) == (0, "done\n", "")

@@ -11,7 +11,8 @@ import sys
 from collections.abc import Callable
 
 import rclpy
-from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
 
 from gtmr_model import ConfigError
 from gtmr_msgs_py.suite_node import SuiteNode
@@ -27,9 +28,11 @@ BAD_INPUT = 2
 PROMPT: Callable[[], Executor] = Prompt
 """Hands a message on in half the time of rclpy's usual executor, which at every message waits for
 everything anew; of rclpy 7.1.6 it has no callbacks that ask what the middleware tells of it."""
-WAIT_S = 1.0
+WAIT_S = 0.1
 """How long to wait for anything to happen before looking whether to go on [s]; without any such
 limit `PROMPT` of rclpy 7.1.6 handles nothing."""
+STOPS = (signal.SIGINT, signal.SIGTERM)
+"""Signals that end a node."""
 MANAGED = "--managed"
 """Argument that makes a node wait for its lifecycle services to configure and activate it."""
 
@@ -57,12 +60,14 @@ def run(
         Exit code: 0 after SIGINT, SIGTERM or the node's own end, 2 for bad input.
     """
     try:
-        rclpy.init(args=args)
+        # rclpy's own handlers close the context under a callback, and interrupt it.
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         reason = " ".join(str(error).partition(", at /")[0].split())
         sys.stderr.write(f"error: {reason}\n")
         return BAD_INPUT
     node = None
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         managed = MANAGED in (sys.argv if args is None else args)
         node = make_node(managed)
@@ -71,24 +76,34 @@ def run(
         # What start-up made lives as long as the process: no collection need look at it again.
         gc.collect()
         gc.freeze()
-        executor = make_executor()
-        executor.add_node(node)
-        while rclpy.ok() and not node.over:
-            executor.spin_once(WAIT_S)
-    except (KeyboardInterrupt, ExternalShutdownException):
+        _spin(node, make_executor())
+    except KeyboardInterrupt:
         pass
     except ConfigError as error:
         sys.stderr.write(f"error: {error}\n")
         return BAD_INPUT
     except Exception as error:
-        # A signal closes the context even under a node that is being made, or is publishing; in
-        # the middle of a conversion in C, its KeyboardInterrupt is the cause of another error.
-        if rclpy.ok() and not isinstance(error.__cause__, KeyboardInterrupt):
+        # In the middle of a conversion in C, a KeyboardInterrupt is the cause of another error.
+        if not isinstance(error.__cause__, KeyboardInterrupt):
             raise
     finally:
         # A second Ctrl-C must not tear the teardown apart.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for stop in STOPS:
+            signal.signal(stop, signal.SIG_IGN)
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _spin(node: SuiteNode, executor: Executor) -> None:
+    """Call a node back until it is over, or a signal comes; the callback in hand is finished."""
+
+    def stop(*_: object) -> None:
+        node.over = True
+
+    for name in STOPS:
+        signal.signal(name, stop)
+    executor.add_node(node)
+    while not node.over:
+        executor.spin_once(WAIT_S)
