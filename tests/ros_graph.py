@@ -20,12 +20,12 @@ from typing import Any, TextIO
 
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 
 from gtmr_msgs_py.environment import ros_environment
 from gtmr_msgs_py.listening import PATIENT
+from gtmr_msgs_py.process import PROMPT
 from gtmr_msgs_py.topics import Topic
 from gtmr_nmpc import Controller
 
@@ -118,7 +118,7 @@ class RosGraph:
         self._context = Context()
         rclpy.init(context=self._context, domain_id=self.domain_id)
         self.node = rclpy.create_node("onlooker", context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor = PROMPT(context=self._context)
         self._executor.add_node(self.node)
         return self
 

@@ -25,7 +25,7 @@ except ModuleNotFoundError:
 
 BAD_INPUT = 2
 """Exit code when a parameter or an argument cannot be used."""
-PROMPT: Callable[[], Executor] = Prompt
+PROMPT: Callable[..., Executor] = Prompt
 """Hands a message on in half the time of rclpy's usual executor, which at every message waits for
 everything anew; of rclpy 7.1.6 it has no callbacks that ask what the middleware tells of it."""
 WAIT_S = 0.1
