@@ -8,7 +8,6 @@ import math
 
 import pytest
 
-from gtmr_nmpc import ControllerConfig
 from gtmr_study import cluster
 from gtmr_study.calibration import BEST, PRESETS, calibrate
 from gtmr_study.study import Study
@@ -17,11 +16,10 @@ from gtmr_study.unreported import UNREPORTED, values_of, with_values
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_search_can_begin_with_a_shipped_preset(preset):
-    controller = ControllerConfig.preset("controller", preset)
-    study = Study(controller=controller)
+    study = Study.load("scenario", preset)
     values = values_of(study)
 
-    assert with_values(values, Study()) == study
+    assert with_values(values, Study(trials=study.trials)) == study
     assert set(values) == set(UNREPORTED)
     for name, known in UNREPORTED.items():
         if known.searched is not None:
@@ -107,7 +105,7 @@ def test_a_set_whose_flights_raise_is_not_the_best(cheap, tmp_path, monkeypatch)
 
     result = calibrate(base, "nominal", 2, tmp_path / "s", 1)
 
-    assert result["presets"]["default"] == math.inf
+    assert result["presets"]["paper"] == math.inf
     assert result["distance"] == result["presets"]["paper-closest"] < math.inf
 
 

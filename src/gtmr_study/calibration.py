@@ -18,7 +18,7 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
-from gtmr_nmpc import MODES, ControllerConfig, Mode
+from gtmr_nmpc import MODES, Mode
 from gtmr_study import cluster
 from gtmr_study.paper_claims import TRIALS, deviations, distance
 from gtmr_study.result_files import InputError
@@ -29,8 +29,8 @@ from gtmr_study.unreported import UNREPORTED, Unreported, values_of, with_values
 Target = Literal["nominal", "both"]
 TARGETS: tuple[Target, ...] = ("nominal", "both")
 """Which rows of the paper a search aims at."""
-PRESETS = ("default", "paper-closest")
-"""Controllers that a search begins with, so that it ends no farther from the paper than them."""
+PRESETS = ("paper", "paper-closest")
+"""Scenarios that a search begins with, so that it ends no farther from the paper than them."""
 SETS: dict[Target, int] = {"nominal": 120, "both": 60}
 """How many sets of values are tried if nobody says: some twelve minutes on two cores."""
 
@@ -83,7 +83,7 @@ def calibrate(
     modes: tuple[Mode, ...] = MODES if target == "both" else ("nominal",)
     base = base.model_copy(update={"modes": modes})
     space = _space(modes)
-    starts = [_start(base, name, space) for name in PRESETS]
+    starts = [_start(name, space) for name in PRESETS]
     search = _open(folder, f"{target}, seed {base.seed}, {_flown(base)}")
     done = len(_done(search))
     if done < sets:
@@ -140,9 +140,8 @@ def _space(modes: tuple[Mode, ...]) -> dict[str, Unreported]:
     }
 
 
-def _start(base: Study, preset: str, space: dict[str, Unreported]) -> dict[str, float]:
-    controller = ControllerConfig.preset("controller", preset)
-    values = values_of(base.model_copy(update={"controller": controller}))
+def _start(preset: str, space: dict[str, Unreported]) -> dict[str, float]:
+    values = values_of(Study.load("scenario", preset))
     return {name: values[name] for name in space}
 
 
