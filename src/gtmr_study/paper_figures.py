@@ -123,7 +123,8 @@ def fig_1(logs: dict[str, FlightLog], tower: Tower, helix: Helix) -> Figure:
     over_time.axhline(tower.min_clearance_m, color=look.LIMIT, linestyle="--", linewidth=1.0)
     over_time.axhline(helix.offset_m, **dots)
     space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    space.set_box_aspect((1.0, 1.0, 1.0))
+    # Smaller, as the layout leaves no room for the labels of a third axis.
+    space.set_box_aspect((1.0, 1.0, 1.0), zoom=0.85)
     above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="From above")
     over_time.set(xlabel="time [s]", ylabel="clearance $d_T$ [m]", title="Clearance")
     over_time.margins(x=0.0)
