@@ -16,8 +16,8 @@
 /* Least violation that counts: of a row scaled to norm 1, and from the rounding of its value. */
 #define VIOLATED 1e-10
 #define ROUNDING 4e-15
-/* Share of the largest violation from which on a row enters together with it. */
-#define BULK 0.75
+/* Share of the largest violation from which on the worst of other rows enters together with it. */
+#define TOGETHER 0.2
 
 enum { MAX_ITERATIONS = 100 + 10 * N_ROWS, REFINEMENTS = 2, WARM_ROUNDS = 5, NONE = -1, ITSELF = -2 };
 
@@ -282,18 +282,30 @@ static active_row violated_row(const gtmr_controller *c, int row, double violati
     return a;
 }
 
-/* Let the worst row enter, and with it those that are nearly as bad and independent. */
+/*
+ * Let the worst row enter, and with it the worst of each rotor and of the clearances: of different
+ * rotors one hardly changes what the other needs.
+ */
 static int enter_violated(gtmr_controller *c, const double *violation, int worst)
 {
-    double w[LD_ACTIVE];
-    const double least = BULK * fabs(violation[worst]);
+    double w[LD_ACTIVE], most[N_U + 1] = {0.0};
+    int of[N_U + 1] = {0};
     if (!enter(c, violated_row(c, worst, violation[worst]))) {
         return 0;
     }
     for (int i = 0; i < N_ROWS; ++i) {
-        if (fabs(violation[i]) > least && !c->in_set[i]) {
-            const active_row row = violated_row(c, i, violation[i]);
-            working_set_append(c, &row, 0, w);
+        const int which = i % STAGE_ROWS;
+        const int group = which == CLEARANCE ? N_U : which % N_U;
+        if (fabs(violation[i]) > most[group]) {
+            most[group] = fabs(violation[i]);
+            of[group] = i;
+        }
+    }
+    for (int group = 0; group <= N_U; ++group) {
+        const int row = of[group];
+        if (most[group] > TOGETHER * fabs(violation[worst]) && !c->in_set[row]) {
+            const active_row enters = violated_row(c, row, violation[row]);
+            working_set_append(c, &enters, 0, w);
         }
     }
     return 1;
