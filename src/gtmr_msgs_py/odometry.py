@@ -112,7 +112,7 @@ def pack(stamp_ns: int, x: ArrayLike) -> bytes:
 
 
 def unpack(data: bytes) -> tuple[int, NDArray[np.float64]]:
-    """Read the state as `decode` does, out of bytes; those of `pack` in a fifth of the time.
+    """Read the state as `decode` does, out of bytes; those of `pack` in half the time.
 
     Parameters
     ----------

@@ -32,8 +32,6 @@ LEVEL_DEG = 5.0
 """Roll and pitch up to which a vehicle counts as level [deg]."""
 PLACED_M = 0.005
 """Additional clearance from which it counts as placed where the sensitivity is high [m]."""
-PRESETS = {"default": "", "paper-closest": " --controller paper-closest"}
-"""Controllers by name, and how `gtmr fly` is told of them."""
 
 
 @dataclass(frozen=True)
@@ -350,13 +348,10 @@ def _fig_1(study: Study, flights: dict[str, dict[str, float]]) -> list[Claim]:
 
 
 def _fly_command(study: Study) -> str:
-    """Find the robust flight of Fig. 1 as a command of its own, if the study is a preset's."""
+    """Find the robust flight of Fig. 1 as a command of its own, if the study is the default."""
     zeta = " ".join(f"{value:g}" for value in (*(0.0,) * 6, *WIND_BIAS_N))
     flight = f"gtmr fly --mode robust --seed {study.seed} --zeta {zeta}"
     if study.duration_s != 50.0:
         flight += f" --duration {study.duration_s:g}"
-    if study.gust == GustConfig() and study.uncertainty is None:
-        for name, option in PRESETS.items():
-            if study.controller == ControllerConfig.preset("controller", name):
-                return flight + option
-    return ""
+    default = (ControllerConfig(), GustConfig(), None)
+    return flight if (study.controller, study.gust, study.uncertainty) == default else ""
