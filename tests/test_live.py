@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from loop_messages import odometry_message, rotor_states_message
 from matplotlib import image
 from ros_graph import RosGraph
 from rosgraph_msgs.msg import Clock
@@ -18,9 +19,7 @@ from gtmr_model import Tower, Vehicle
 from gtmr_msgs_py import (
     clearance,
     markers,
-    odometry,
     path,
-    rotor_states,
     stamps,
     tightening,
     topics,
@@ -75,7 +74,7 @@ def test_a_browser_draws_the_page_and_asks_nobody_else_for_anything(page):
     page.draw(markers.vehicle(Vehicle.paper(), AT_REST), topics.BASE_LINK)
     page.draw(markers.tightened_shells(tower, MARGINS, PLAN[:, 2], "robust"))
     page.draw(markers.plan(PLAN, "robust"))
-    page.move(odometry.encode(0, STATE).pose.pose)
+    page.move(odometry_message(0, STATE).pose.pose)
     for time_s in np.arange(0.0, 6.0, 0.025):
         page.add_residual("nominal", time_s, 0.01)
         page.add_residual("robust", time_s, -0.12)
@@ -133,8 +132,8 @@ def test_the_view_draws_what_it_hears(monkeypatch):
     margins = tightening.encode(np.zeros((21, 9)), 0.001, MARGINS, np.zeros(21))
     said = (
         (topics.CLOCK, Clock(clock=stamps.encode(stamp_ns))),
-        (topics.ODOM, odometry.encode(stamp_ns, STATE)),
-        (topics.ROTOR_STATES, rotor_states.encode(stamp_ns, STATE[12:])),
+        (topics.ODOM, odometry_message(stamp_ns, STATE)),
+        (topics.ROTOR_STATES, rotor_states_message(stamp_ns, STATE[12:])),
         (topics.PREDICTED_PATH, path.encode(stamp_ns, step_ns, PLAN, level)),
         (topics.REFERENCE, path.encode(stamp_ns, step_ns, PLAN, level)),
         (topics.TIGHTENING, margins),
@@ -155,7 +154,7 @@ def test_the_view_draws_what_it_hears(monkeypatch):
             return drawn >= wanted and heard and page.shown[-1][1] > 0.0
 
         graph.wait_until(complete)
-    assert page.pose == odometry.encode(0, STATE).pose.pose
+    assert page.pose == odometry_message(0, STATE).pose.pose
     assert page.shown[-1] == ("robust", pytest.approx(0.091))
     shell = page.drawn["tightened", 0]
     assert 0.5 * shell.scale.x == pytest.approx(1.0 + 0.2 + 0.091)

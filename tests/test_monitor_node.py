@@ -17,6 +17,7 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy")
 
+from loop_messages import odometry_message  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.node import Node  # noqa: E402
@@ -28,7 +29,7 @@ from gtmr_model import Tower  # noqa: E402
 from gtmr_monitor import bag_flight  # noqa: E402
 from gtmr_monitor.bag_flight import read_flight  # noqa: E402
 from gtmr_monitor.bag_reader import TruncatedBagWarning, read_messages  # noqa: E402
-from gtmr_msgs_py import diagnostics, odometry, topics  # noqa: E402
+from gtmr_msgs_py import diagnostics, topics  # noqa: E402
 from gtmr_msgs_py.environment import ros_environment  # noqa: E402
 
 DOMAIN_ID = 1 + os.getpid() % 100
@@ -93,7 +94,7 @@ class Graph:
         if position is not None:
             x[:3] = position
         x[5] = angle + math.pi
-        message = odometry.encode(k * 25_000_000, x)
+        message = odometry_message(k * 25_000_000, x)
         self.odometry.publish(message)
 
     def close(self):

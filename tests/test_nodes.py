@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from loop_messages import odometry_message, rotor_command_message, rotor_states_message
 from ros_graph import RosGraph
 from std_srvs.srv import SetBool, Trigger
 
@@ -66,8 +67,8 @@ def figures(graph, name):
 
 
 def publish_state(publishers, time_ns, x):
-    publishers[0].publish(odometry.encode(time_ns, x))
-    publishers[1].publish(rotor_states.encode(time_ns, x[ROTORS]))
+    publishers[0].publish(odometry_message(time_ns, x))
+    publishers[1].publish(rotor_states_message(time_ns, x[ROTORS]))
 
 
 def test_every_topic_and_service_appears_and_ctrl_c_ends_both_nodes_cleanly(graph):
@@ -182,7 +183,7 @@ def test_the_simulator_plays_the_rest_of_the_plan_when_commands_go_missing(graph
     graph.wait_until(lambda: bool(graph.received["odom"]))
     u = np.zeros((20, 6))
     u[10:] = 40.0
-    command.publish(rotor_command.encode(0, 25_000_000, np.tile(START[ROTORS], (21, 1)), u))
+    command.publish(rotor_command_message(0, 25_000_000, np.tile(START[ROTORS], (21, 1)), u))
     graph.wait_until(lambda: figures(graph, "sim").get("missed_commands", 0) > 0)
     graph.wait_until(lambda: stamps.seconds(odometry.decode(graph.received["odom"][-1])[0]) > 0.6)
     times, x = states(graph)

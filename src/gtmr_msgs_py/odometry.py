@@ -12,7 +12,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from geometry_msgs.msg import Point, Quaternion, Vector3
+from geometry_msgs.msg import Quaternion
 from nav_msgs.msg import Odometry
 from numpy.typing import ArrayLike, NDArray
 from rclpy.serialization import deserialize_message
@@ -29,33 +29,6 @@ TWIST = slice(43, 49)
 """Linear and angular velocity among them."""
 NUMBERS = 85
 """How many there are, with two covariances of 36."""
-
-
-def encode(stamp_ns: int, x: ArrayLike) -> Odometry:
-    """Make the odometry of a state.
-
-    Parameters
-    ----------
-    stamp_ns : int
-        When the state was measured [ns].
-    x : array_like, shape (12,) or longer
-        State [p, eta, v, omega, ...]: m, rad, m/s, rad/s; p and v in world ENU, omega in body FLU.
-
-    Returns
-    -------
-    nav_msgs.msg.Odometry
-        Covariances are zero, that is, not known.
-    """
-    state = np.asarray(x, dtype=float)
-    msg = Odometry()
-    msg.header.stamp = stamps.encode(stamp_ns)
-    msg.header.frame_id = MAP
-    msg.child_frame_id = BASE_LINK
-    msg.pose.pose.position = _xyz(Point, state[POSITION])
-    msg.pose.pose.orientation = orientation = attitude.encode(state[ATTITUDE])
-    msg.twist.twist.linear = _xyz(Vector3, attitude.rotation(orientation).T @ state[VELOCITY])
-    msg.twist.twist.angular = _xyz(Vector3, state[RATE])
-    return msg
 
 
 def decode(msg: Odometry) -> tuple[int, NDArray[np.float64]]:
@@ -89,7 +62,7 @@ def decode(msg: Odometry) -> tuple[int, NDArray[np.float64]]:
 
 
 def pack(stamp_ns: int, x: ArrayLike) -> bytes:
-    """Make the odometry of a state as `encode` does, as the bytes that go over the wire.
+    """Make the odometry of a state, as the bytes that go over the wire.
 
     Parameters
     ----------
@@ -101,7 +74,7 @@ def pack(stamp_ns: int, x: ArrayLike) -> bytes:
     Returns
     -------
     bytes
-        CDR.
+        CDR of a nav_msgs/Odometry; covariances are zero, that is, not known.
     """
     state = np.asarray(x, dtype=float)
     q = attitude.encode(state[ATTITUDE])
@@ -162,8 +135,3 @@ def _layout() -> FixedCdr:
     layout.string(BASE_LINK)
     layout.float64(NUMBERS)
     return layout
-
-
-def _xyz(message: type, values: NDArray[np.float64]) -> Point | Vector3:
-    x, y, z = (float(value) for value in values)
-    return message(x=x, y=y, z=z)

@@ -5,14 +5,13 @@
 
 from __future__ import annotations
 
-from array import array
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rclpy.serialization import deserialize_message
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from trajectory_msgs.msg import JointTrajectory
 
 from gtmr_msgs_py import stamps
 from gtmr_msgs_py.fixed_cdr import FixedCdr
@@ -32,38 +31,6 @@ class RotorPlan:
     """Rotor speeds [Hz], shape (N + 1, N_p)."""
     u: NDArray[np.float64]
     """Rotor accelerations [Hz/s], row i held from i T_s to (i + 1) T_s, shape (N, N_p)."""
-
-
-def encode(stamp_ns: int, step_ns: int, xi: ArrayLike, u: ArrayLike) -> JointTrajectory:
-    """Make a command of a plan.
-
-    Parameters
-    ----------
-    stamp_ns : int
-        Stamp of the odometry that it was planned from [ns].
-    step_ns : int
-        T_s [ns].
-    xi : array_like, shape (N + 1, N_p)
-        Planned rotor speeds [Hz].
-    u : array_like, shape (N, N_p)
-        Planned rotor accelerations [Hz/s].
-
-    Returns
-    -------
-    trajectory_msgs.msg.JointTrajectory
-        N + 1 points; at the last one the accelerations are zero: hold that speed.
-    """
-    points = [
-        JointTrajectoryPoint(
-            velocities=array("d", velocity),
-            accelerations=array("d", acceleration),
-            time_from_start=stamps.encode_duration(i * step_ns),
-        )
-        for i, (velocity, acceleration) in enumerate(_points(xi, u))
-    ]
-    msg = JointTrajectory(joint_names=rotor_names(len(points[0].velocities)), points=points)
-    msg.header.stamp = stamps.encode(stamp_ns)
-    return msg
 
 
 def decode(msg: JointTrajectory, n_rotors: int) -> RotorPlan:
@@ -108,7 +75,7 @@ def decode(msg: JointTrajectory, n_rotors: int) -> RotorPlan:
 
 
 def pack(stamp_ns: int, step_ns: int, xi: ArrayLike, u: ArrayLike) -> bytes:
-    """Make a command as `encode` does, as the bytes that go over the wire.
+    """Make a command of a plan, as the bytes that go over the wire.
 
     Parameters
     ----------
@@ -124,7 +91,8 @@ def pack(stamp_ns: int, step_ns: int, xi: ArrayLike, u: ArrayLike) -> bytes:
     Returns
     -------
     bytes
-        CDR.
+        CDR of a trajectory_msgs/JointTrajectory of N + 1 points; at the last one the accelerations
+        are zero: hold that speed.
     """
     points = _points(xi, u)
     return _layout(step_ns, len(points), points.shape[2]).pack(stamp_ns, points.ravel())

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-from array import array
 from functools import cache
 
 import numpy as np
@@ -36,26 +35,6 @@ def rotor_names(n_rotors: int) -> list[str]:
         ``rotor_0`` on, in the order of the state.
     """
     return [f"rotor_{i}" for i in range(n_rotors)]
-
-
-def encode(stamp_ns: int, xi: ArrayLike) -> JointState:
-    """Make the rotor states of a state.
-
-    Parameters
-    ----------
-    stamp_ns : int
-        When they were measured [ns]: the stamp of the odometry they belong to.
-    xi : array_like, shape (N_p,)
-        Rotor speeds [Hz].
-
-    Returns
-    -------
-    sensor_msgs.msg.JointState
-    """
-    speeds = RAD_PER_TURN * np.asarray(xi, dtype=float)
-    msg = JointState(name=rotor_names(len(speeds)), velocity=array("d", speeds))
-    msg.header.stamp = stamps.encode(stamp_ns)
-    return msg
 
 
 def decode(msg: JointState, n_rotors: int) -> tuple[int, NDArray[np.float64]]:
@@ -93,7 +72,7 @@ def decode(msg: JointState, n_rotors: int) -> tuple[int, NDArray[np.float64]]:
 
 
 def pack(stamp_ns: int, xi: ArrayLike) -> bytes:
-    """Make the rotor states as `encode` does, as the bytes that go over the wire.
+    """Make the rotor states of a state, as the bytes that go over the wire.
 
     Parameters
     ----------
@@ -105,7 +84,7 @@ def pack(stamp_ns: int, xi: ArrayLike) -> bytes:
     Returns
     -------
     bytes
-        CDR.
+        CDR of a sensor_msgs/JointState.
     """
     speeds = RAD_PER_TURN * np.asarray(xi, dtype=float)
     return _layout(len(speeds)).pack(stamp_ns, speeds)

@@ -59,22 +59,6 @@ def encode(time_ns: int) -> Time:
     return Time(sec=sec, nanosec=nanosec)
 
 
-def encode_duration(time_ns: int) -> Duration:
-    """Make a duration.
-
-    Parameters
-    ----------
-    time_ns : int
-        [ns].
-
-    Returns
-    -------
-    builtin_interfaces.msg.Duration
-    """
-    sec, nanosec = divmod(int(time_ns), NANOSECONDS)
-    return Duration(sec=sec, nanosec=nanosec)
-
-
 def decode(stamp: Time | Duration) -> int:
     """Read a stamp or a duration.
 
