@@ -1,5 +1,10 @@
 # Copyright 2026 the gtmr authors
-# SPDX-License-Identifier: Apache-2.0
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """Build gtmr for colcon and for pip alike; name, version and licence stand in package.xml."""
 
@@ -31,8 +36,8 @@ setup(
     package_data={
         "": ["py.typed"],
         "gtmr_model": ["config/**/*.yaml"],
-        "gtmr_msgs_py": ["*.xml"],
-        "gtmr_nmpc": ["c/*.[ch]"],
+        "gtmr_msgs_py.start": ["*.xml"],
+        "gtmr_nmpc.compiled": ["c/*.[ch]"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/gtmr"]),
@@ -41,7 +46,7 @@ setup(
         ("lib/gtmr", [f"scripts/{node}" for node in nodes]),
         *((f"share/gtmr/{path.parent}", [str(path)]) for path in sorted(shared)),
     ],
-    entry_points={"console_scripts": ["gtmr = gtmr_study.cli:main"]},
+    entry_points={"console_scripts": ["gtmr = gtmr_study.cli.app:main"]},
     python_requires=">=3.10",
     install_requires=[
         "casadi>=3.6.5",

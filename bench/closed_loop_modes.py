@@ -1,5 +1,10 @@
 # Copyright 2026 the gtmr authors
-# SPDX-License-Identifier: Apache-2.0
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """Print the slowest modes of the closed loop for several attitude weights (docs/level-flight.md).
 
@@ -7,7 +12,7 @@ Run with ``python bench/closed_loop_modes.py``; takes about a minute.
 """
 
 from gtmr_nmpc import ControllerConfig, Weights
-from gtmr_study.modes import closed_loop_modes
+from gtmr_nmpc.reference.eigenmodes import closed_loop_modes
 
 CASES = [(0.0, 0.0, 0.0), (0.1, 1.0, 0.1), (5.0, 5.0, 0.5), (50.0, 50.0, 5.0)]
 """Weights on roll and pitch, yaw, body rate."""

@@ -1,5 +1,10 @@
 # Copyright 2026 the gtmr authors
-# SPDX-License-Identifier: Apache-2.0
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """Time from an odometry message to the command computed from it, over ROS 2, in real time.
 
@@ -26,12 +31,12 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
 from gtmr_msgs_py import topics
-from gtmr_msgs_py.environment import ros_environment
-from gtmr_msgs_py.process import PROMPT, run
-from gtmr_msgs_py.rotor_command import RotorPlan
+from gtmr_msgs_py.messages.rotor_command import RotorPlan
+from gtmr_msgs_py.node.process import PROMPT, run
+from gtmr_msgs_py.start.environment import ros_environment
 from gtmr_nmpc import Controller, ControllerConfig
 from gtmr_sim.node import SimNode
-from gtmr_study.bench import machine
+from gtmr_study.rivals.bench import machine
 
 WARM_UP_S = 5.0
 """Time at the start that is not counted [s]."""

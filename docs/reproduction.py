@@ -1,5 +1,10 @@
 # Copyright 2026 the gtmr authors
-# SPDX-License-Identifier: Apache-2.0
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """Take over two reproductions: ``python docs/reproduction.py DEFAULT_DIR PAPER_CLOSEST_DIR``.
 
@@ -15,10 +20,10 @@ import shutil
 import sys
 from pathlib import Path
 
-from gtmr_study.claims_table import claims, claims_markdown, markdown_table
-from gtmr_study.reproduce import RESULTS_FILE
-from gtmr_study.reproduction_report import size_of_the_tightening
-from gtmr_study.trials_file import read_study
+from gtmr_study.campaign.trials_file import read_study
+from gtmr_study.paper.claims_table import claims, claims_markdown, markdown_table
+from gtmr_study.paper.report import size_of_the_tightening
+from gtmr_study.paper.reproduce import RESULTS_FILE
 
 DOCS = Path(__file__).parent
 NAMES = ("default", "paper-closest")

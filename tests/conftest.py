@@ -1,5 +1,10 @@
 # Copyright 2026 the gtmr authors
-# SPDX-License-Identifier: Apache-2.0
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """Environment of all tests, set before any ROS library is loaded, and what many of them use."""
 
@@ -7,10 +12,11 @@ import os
 import sys
 from types import SimpleNamespace
 
-import campaign_runs
 import pytest
+from support import campaign_runs
+from support.launch_stubs import launch  # noqa: F401 -- a fixture
 
-from gtmr_msgs_py.environment import ros_environment
+from gtmr_msgs_py.start.environment import ros_environment
 
 os.environ.update(ros_environment())
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
@@ -19,7 +25,7 @@ os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 @pytest.fixture
 def gtmr(monkeypatch, capsys):
     """Run the command line in this process: another takes longer to start than most commands."""
-    from gtmr_study import cli
+    from gtmr_study.cli import app as cli
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["gtmr", *map(str, arguments)])

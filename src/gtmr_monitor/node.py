@@ -1,5 +1,10 @@
 # Copyright 2026 the gtmr authors
-# SPDX-License-Identifier: Apache-2.0
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """The monitor as a ROS 2 node: watches the clearance residual and records the flight."""
 
@@ -23,18 +28,20 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 
 from gtmr_model import ConfigError, Tower, YamlModel
-from gtmr_monitor.bag import BagError, without_tail
-from gtmr_monitor.bag_writer import OfferedQos
+from gtmr_monitor.bag.format import BagError, without_tail
+from gtmr_monitor.bag.writer import OfferedQos
 from gtmr_monitor.recording import Recording
 from gtmr_monitor.residual import ResidualWatch
-from gtmr_msgs_py import clearance, diagnostics, odometry, topics
-from gtmr_msgs_py.diagnostics import Level
-from gtmr_msgs_py.listening import Info, listen, received_ns, take_what_arrived
-from gtmr_msgs_py.message_error import MessageError
-from gtmr_msgs_py.parameter_events import PARAMETER_EVENTS, ParameterFetch, own_parameters
-from gtmr_msgs_py.parameters import ModelParameters
-from gtmr_msgs_py.process import run
-from gtmr_msgs_py.suite_node import SuiteNode
+from gtmr_msgs_py import topics
+from gtmr_msgs_py.messages import clearance, odometry
+from gtmr_msgs_py.node import diagnostics
+from gtmr_msgs_py.node.diagnostics import Level
+from gtmr_msgs_py.node.listening import Info, listen, received_ns, take_what_arrived
+from gtmr_msgs_py.node.parameter_events import PARAMETER_EVENTS, ParameterFetch, own_parameters
+from gtmr_msgs_py.node.parameters import ModelParameters
+from gtmr_msgs_py.node.process import run
+from gtmr_msgs_py.node.suite_node import SuiteNode
+from gtmr_msgs_py.wire.message_error import MessageError
 
 DIAGNOSTICS_PERIOD_S = 1.0
 """Between two messages on /diagnostics, wall time [s]."""

@@ -1,5 +1,10 @@
 # Copyright 2026 the gtmr authors
-# SPDX-License-Identifier: Apache-2.0
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """The controller: a state in, a plan out; keeps the warm start from step to step."""
 
@@ -11,12 +16,12 @@ import time
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gtmr_model.compile import CompileError, warn_interpreted
+from gtmr_codegen.library import CompileError, warn_interpreted
 from gtmr_model.dynamics import YAW
-from gtmr_nmpc.compiled import CompiledIteration
+from gtmr_nmpc.compiled.iteration import CompiledIteration
 from gtmr_nmpc.config import MODES, ControllerConfig, Mode
-from gtmr_nmpc.interpreted import InterpretedIteration
 from gtmr_nmpc.iteration import Iteration, Plan
+from gtmr_nmpc.reference.interpreted import InterpretedIteration
 from gtmr_nmpc.solution import Solution, Timing
 
 Array = NDArray[np.float64]

@@ -1,5 +1,10 @@
 # Copyright 2026 the gtmr authors
-# SPDX-License-Identifier: Apache-2.0
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """The controller as a ROS 2 node: odometry and rotor speeds in, the whole plan out."""
 
@@ -19,23 +24,23 @@ from rclpy.clock_type import ClockType
 from rclpy.publisher import Publisher
 
 from gtmr_model.dynamics import ATTITUDE, POSITION, ROTORS
-from gtmr_msgs_py import (
-    diagnostics,
+from gtmr_msgs_py import topics
+from gtmr_msgs_py.messages import (
     markers,
     odometry,
     path,
     rotor_command,
     rotor_states,
     solve_time,
-    stamps,
     tightening,
-    topics,
 )
-from gtmr_msgs_py.diagnostics import Level
-from gtmr_msgs_py.message_error import MessageError
-from gtmr_msgs_py.parameters import ModelParameters
-from gtmr_msgs_py.process import PROMPT, run
-from gtmr_msgs_py.suite_node import SuiteNode
+from gtmr_msgs_py.node import diagnostics
+from gtmr_msgs_py.node.diagnostics import Level
+from gtmr_msgs_py.node.parameters import ModelParameters
+from gtmr_msgs_py.node.process import PROMPT, run
+from gtmr_msgs_py.node.suite_node import SuiteNode
+from gtmr_msgs_py.wire import stamps
+from gtmr_msgs_py.wire.message_error import MessageError
 from gtmr_nmpc.config import MODES, ControllerConfig, Mode
 from gtmr_nmpc.controller import Controller
 from gtmr_nmpc.performance import Performance, standing

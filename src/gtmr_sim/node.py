@@ -1,5 +1,10 @@
 # Copyright 2026 the gtmr authors
-# SPDX-License-Identifier: Apache-2.0
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """The simulator as a ROS 2 node: plays the plan, publishes odometry, rotor speeds and time."""
 
@@ -17,22 +22,16 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool, Trigger
 
 from gtmr_model.dynamics import ROTORS
-from gtmr_msgs_py import (
-    diagnostics,
-    markers,
-    odometry,
-    rotor_command,
-    rotor_states,
-    stamps,
-    topics,
-    transforms,
-)
-from gtmr_msgs_py.diagnostics import Level
-from gtmr_msgs_py.message_error import MessageError
-from gtmr_msgs_py.parameters import ModelParameters
-from gtmr_msgs_py.process import PROMPT, run
-from gtmr_msgs_py.rotor_command import RotorPlan
-from gtmr_msgs_py.suite_node import SuiteNode
+from gtmr_msgs_py import topics
+from gtmr_msgs_py.messages import markers, odometry, rotor_command, rotor_states, transforms
+from gtmr_msgs_py.messages.rotor_command import RotorPlan
+from gtmr_msgs_py.node import diagnostics
+from gtmr_msgs_py.node.diagnostics import Level
+from gtmr_msgs_py.node.parameters import ModelParameters
+from gtmr_msgs_py.node.process import PROMPT, run
+from gtmr_msgs_py.node.suite_node import SuiteNode
+from gtmr_msgs_py.wire import stamps
+from gtmr_msgs_py.wire.message_error import MessageError
 from gtmr_sim.scenario import Scenario
 from gtmr_sim.session import Session
 from gtmr_sim.simulation import Simulation

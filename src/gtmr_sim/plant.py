@@ -1,5 +1,10 @@
 # Copyright 2026 the gtmr authors
-# SPDX-License-Identifier: Apache-2.0
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """The true vehicle: eq. (3) with the true zeta, a fine integration step and actuator limits."""
 
@@ -13,8 +18,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gtmr_model.c_source import c_function
-from gtmr_model.compile import CompileError, load_library, warn_interpreted
+from gtmr_codegen.c_source import c_function
+from gtmr_codegen.library import CompileError, load_library, warn_interpreted
 from gtmr_model.dynamics import ROTORS, rk4_step, state_derivative, symbols
 from gtmr_model.vehicle import Vehicle
 

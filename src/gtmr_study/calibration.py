@@ -1,5 +1,10 @@
 # Copyright 2026 the gtmr authors
-# SPDX-License-Identifier: Apache-2.0
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """Search what the paper leaves out for the values that come closest to its results."""
 
@@ -19,12 +24,12 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
 from gtmr_nmpc import MODES, Mode
-from gtmr_study import cluster
-from gtmr_study.paper_claims import TRIALS, deviations, distance
+from gtmr_study.campaign import cluster
+from gtmr_study.campaign.study import Study
+from gtmr_study.campaign.summary import summarise
+from gtmr_study.paper.claims import TRIALS, deviations, distance
+from gtmr_study.paper.unreported import UNREPORTED, Unreported, values_of, with_values
 from gtmr_study.result_files import InputError
-from gtmr_study.study import Study
-from gtmr_study.summary import summarise
-from gtmr_study.unreported import UNREPORTED, Unreported, values_of, with_values
 
 Target = Literal["nominal", "both"]
 TARGETS: tuple[Target, ...] = ("nominal", "both")

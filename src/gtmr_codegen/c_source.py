@@ -1,0 +1,97 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""CasADi expressions written out as plain C99, several points a call."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+BINARY = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
+UNARY = {
+    ca.OP_ASSIGN: "{0}",
+    ca.OP_NEG: "-{0}",
+    ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "{0} + {0}",
+    ca.OP_INV: "1.0 / {0}",
+}
+CALLS = {
+    ca.OP_SIN: "sin",
+    ca.OP_COS: "cos",
+    ca.OP_SQRT: "sqrt",
+    ca.OP_FABS: "fabs",
+    ca.OP_FMIN: "fmin",
+    ca.OP_FMAX: "fmax",
+}
+
+
+def c_function(function: ca.Function, number: str = "double") -> str:
+    """Write an SX function as a C function of one array in and one array out.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        On SX. Its inputs follow each other in the array ``in``, the nonzeros of its outputs in
+        the array ``out``.
+    number : str
+        C type of an entry: ``double``, or a vector of doubles that holds one point a lane, for
+        which ``<number>_sin`` and the like must exist.
+
+    Returns
+    -------
+    str
+        Definition of ``void <name>(const <number> *restrict in, <number> *restrict out)``.
+
+    Raises
+    ------
+    NotImplementedError
+        If the function contains an operation that has no C counterpart here.
+    """
+    first_in = _offsets([function.nnz_in(i) for i in range(function.n_in())])
+    first_out = _offsets([function.nnz_out(i) for i in range(function.n_out())])
+    prefix = "" if number == "double" else f"{number}_"
+    names: dict[int, str] = {}
+    lines = []
+    for k in range(function.n_instructions()):
+        op, to, of = (
+            function.instruction_id(k),
+            function.instruction_output(k),
+            function.instruction_input(k),
+        )
+        if op == ca.OP_OUTPUT:
+            lines.append(f"out[{first_out[to[0]] + to[1]}] = {names[of[0]]};")
+            continue
+        if op == ca.OP_INPUT:
+            value = f"in[{first_in[of[0]] + of[1]}]"
+        elif op == ca.OP_CONST:
+            value = _constant(function.instruction_constant(k), number)
+        else:
+            value = _expression(op, [names[i] for i in of], prefix)
+        names[to[0]] = f"t{k}"
+        lines.append(f"const {number} t{k} = {value};")
+    body = "\n".join(f"    {line}" for line in lines)
+    name = function.name()
+    return f"void {name}(const {number} *restrict in, {number} *restrict out)\n{{\n{body}\n}}\n"
+
+
+def _offsets(sizes: list[int]) -> list[int]:
+    return [sum(sizes[:i]) for i in range(len(sizes))]
+
+
+def _constant(value: float, number: str) -> str:
+    return repr(float(value)) if number == "double" else f"{number}_of({float(value)!r})"
+
+
+def _expression(op: int, operands: list[str], prefix: str) -> str:
+    if op in BINARY:
+        return f"{operands[0]} {BINARY[op]} {operands[1]}"
+    if op in UNARY:
+        return UNARY[op].format(*operands)
+    if op in CALLS:
+        return f"{prefix}{CALLS[op]}({', '.join(operands)})"
+    raise NotImplementedError(f"CasADi operation {op} has no C counterpart")

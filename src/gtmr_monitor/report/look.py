@@ -1,0 +1,222 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What the figures on paper and in the browser have in common: colours, labels, channels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gtmr_monitor.flight import Flight, Margins
+
+INK = "#1a1a1a"
+"""Text and axes."""
+QUIET = "#6b6b6b"
+"""The reference, secondary text."""
+GRID = "#e3e3e3"
+LIMIT = "#1a1a1a"
+"""The safety line at s = 0."""
+TOWER = "#c9c9c9"
+
+# Okabe and Ito's palette: told apart with any colour vision. Blue and vermillion are its pair of
+# strongest contrast, and differ in lightness too.
+MODE_COLOURS = {"nominal": "#D55E00", "robust": "#0072B2"}
+OTHER_COLOUR = "#CC79A7"
+"""Flights that switched their mode, or do not tell it."""
+REPLAYED_COLOUR = "#009E73"
+"""What a controller would have done that did not fly."""
+Dash = Literal["solid", "dash", "dot"]
+DASHES: tuple[Dash, ...] = ("solid", "dash", "dot")
+"""Tells flights of the same mode apart."""
+
+# Tol's muted palette for the nine channels of zeta, then two greys; no two neighbours in the
+# stack are close in hue and lightness.
+MARGIN_COLOURS = {
+    "mass": "#332288",
+    "J_x": "#DDCC77",
+    "J_y": "#999933",
+    "J_z": "#882255",
+    "thrust": "#44AA99",
+    "drag": "#AA4499",
+    "w_bx": "#88CCEE",
+    "w_by": "#CC6677",
+    "w_bz": "#117733",
+    "eps_s": "#1a1a1a",
+    "gust": "#bdbdbd",
+}
+MARGIN_LABELS = {
+    "mass": "mass",
+    "J_x": "inertia x",
+    "J_y": "inertia y",
+    "J_z": "inertia z",
+    "thrust": "thrust",
+    "drag": "drag",
+    "w_bx": "wind bias x",
+    "w_by": "wind bias y",
+    "w_bz": "wind bias z",
+    "eps_s": "slack term ε",
+    "gust": "gust",
+}
+
+_ROTOR_COLOURS = (
+    "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#332288", "#999933"
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Line:
+    """How a flight is drawn in every figure."""
+
+    label: str
+    """Its name in legends and tables."""
+    colour: str
+    """By its mode."""
+    dash: Dash
+    """By its number among the flights of its mode."""
+
+
+def lines(flights: Sequence[Flight]) -> list[Line]:
+    """Give every flight its label, colour and dash.
+
+    Parameters
+    ----------
+    flights : sequence of Flight
+        The flights of a report.
+
+    Returns
+    -------
+    list of Line
+        One per flight; a mode flown once is labelled by the mode alone.
+    """
+    seen: dict[str, int] = {}
+    modes = [f"{flight.mode}, replayed" if flight.replayed else flight.mode for flight in flights]
+    result = []
+    for flight, mode in zip(flights, modes, strict=True):
+        number = seen.setdefault(mode, 0)
+        seen[mode] += 1
+        alone = modes.count(mode) == 1 and flight.mode != "unknown"
+        result.append(
+            Line(
+                label=mode if alone else f"{mode} ({flight.name})",
+                colour=REPLAYED_COLOUR
+                if flight.replayed
+                else MODE_COLOURS.get(mode, OTHER_COLOUR),
+                dash=DASHES[number % len(DASHES)],
+            )
+        )
+    return result
+
+
+def margin_parts(margins: Margins) -> dict[str, NDArray[np.float64]]:
+    """Split the total margin into its parts, in the order in which they are stacked.
+
+    Parameters
+    ----------
+    margins : Margins
+        Of M controller steps.
+
+    Returns
+    -------
+    dict from str to NDArray, shape (M, N + 1)
+        By channel of zeta, then ``eps_s`` and ``gust`` [m].
+    """
+    channels = list(MARGIN_COLOURS)[:9]
+    parts = {name: margins.by_channel[:, :, j] for j, name in enumerate(channels)}
+    return {**parts, "eps_s": margins.eps_s, "gust": margins.alpha_g}
+
+
+def rotor_colour(rotor: int) -> str:
+    """Colour of a rotor's line.
+
+    Parameters
+    ----------
+    rotor : int
+        Number of the rotor, from 0.
+
+    Returns
+    -------
+    str
+    """
+    return _ROTOR_COLOURS[rotor % len(_ROTOR_COLOURS)]
+
+
+def solve_time_bins(flights: Sequence[Flight]) -> NDArray[np.float64]:
+    """Edges of the histogram of solve times, evenly spread on a logarithmic scale.
+
+    Parameters
+    ----------
+    flights : sequence of Flight
+        Those with solve times.
+
+    Returns
+    -------
+    NDArray
+        [ms].
+    """
+    times = np.concatenate([flight.solve_ms for flight in flights] or [np.ones(1)])
+    times = times[times > 0.0]
+    low, high = (times.min(), times.max()) if times.size else (1.0, 1.0)
+    edges: NDArray[np.float64] = np.geomspace(0.95 * low, 1.05 * high, 51)
+    return edges
+
+
+def tightened(flown: Sequence[tuple[Flight, Line]]) -> list[tuple[Flight, Line]]:
+    """Pick the flights in which the clearance constraint was tightened.
+
+    Parameters
+    ----------
+    flown : sequence of (Flight, Line)
+        The flights of a report.
+
+    Returns
+    -------
+    list of (Flight, Line)
+    """
+    return [(flight, line) for flight, line in flown if flight.margins.total.any()]
+
+
+def moved(flown: Sequence[tuple[Flight, Line]]) -> list[tuple[Flight, Line]]:
+    """Pick the flights that were flown: the motion of a replayed one is that of another.
+
+    Parameters
+    ----------
+    flown : sequence of (Flight, Line)
+        The flights of a report.
+
+    Returns
+    -------
+    list of (Flight, Line)
+        At least one.
+    """
+    return [(flight, line) for flight, line in flown if not flight.replayed] or list(flown)
+
+
+def residual_range(flights: Sequence[Flight]) -> tuple[float, float]:
+    """Limits of an axis for residuals, with room for words above the safety line.
+
+    Parameters
+    ----------
+    flights : sequence of Flight
+        What is drawn.
+
+    Returns
+    -------
+    tuple of float
+        [m].
+    """
+    drawn = [flight.residual for flight in flights]
+    drawn += [f.predictions.residual for f in flights if f.predictions is not None]
+    low = min(float(values.min(initial=np.inf)) for values in drawn)
+    high = max(0.0, *(float(values.max(initial=-np.inf)) for values in drawn))
+    span = max(high - low, 0.01)
+    return low - 0.05 * span, max(high + 0.05 * span, 0.1 * span)

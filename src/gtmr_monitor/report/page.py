@@ -1,0 +1,276 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The report of one or more flights: one self-contained HTML file, and the figures as PNG."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from html import escape
+from pathlib import Path
+from typing import Literal
+
+from plotly.offline import get_plotlyjs
+
+from gtmr_model import CHANNELS
+from gtmr_monitor.bag.format import BagError
+from gtmr_monitor.flight import Flight
+from gtmr_monitor.report.browser import CHARTS
+from gtmr_monitor.report.look import Line, lines
+from gtmr_monitor.report.paper import write_figures
+from gtmr_monitor.report.style import STYLE
+
+CAPTIONS = {
+    "trajectory": (
+        "Trajectory",
+        "The flights round the tower, with the helix that was to be followed and the shell of "
+        "least admissible clearance. Drag to turn, scroll to zoom.",
+    ),
+    "residual": (
+        "Clearance residual",
+        "s = d<sub>min</sub> − d<sub>T</sub> at every odometry message; below the dashed line "
+        "the clearance constraint holds. Boxes show quartiles, whiskers the extremes. Where a "
+        "flight was replayed, dotted lines show what each plan foresaw of the instant at which "
+        "it ends.",
+    ),
+    "margins": (
+        "Tightening margins",
+        "By how much the clearance constraint is tightened, and for which uncertainty: the terms "
+        "of α<sub>p</sub> by channel, its constant term, and the gust margin α<sub>g</sub>.",
+    ),
+    "solve_times": (
+        "Solve times",
+        "Preparation and feedback of each controller step, wall time, on a logarithmic scale.",
+    ),
+    "rotors": ("Rotor speeds", "Speed of each rotor as the simulator reported it."),
+    "attitude": (
+        "Attitude",
+        "Roll, pitch, and the heading error: yaw minus the bearing to the tower's axis.",
+    ),
+}
+"""Title and explanation of every figure."""
+
+# Plotly offers by default to upload a chart to its makers; a report stays where it is.
+_PLOTLY_CONFIG = {"displaylogo": False, "responsive": True, "showSendToCloud": False}
+
+Flown = Sequence[tuple[Flight, Line]]
+Value = Callable[[Flight], str]
+Row = tuple[str, Value]
+
+
+def write_report(flights: Sequence[Flight], out_html: str | Path) -> list[Path]:
+    """Write a report on flights, compared side by side.
+
+    Parameters
+    ----------
+    flights : sequence of Flight
+        At least one; the first gives tower and reference.
+    out_html : str or pathlib.Path
+        The HTML file; figures go beside it as ``<stem>-<figure>.png``. Both are written over.
+
+    Returns
+    -------
+    list of pathlib.Path
+        What was written, the HTML file first.
+
+    Raises
+    ------
+    ValueError
+        If there is no flight.
+    BagError
+        If the files cannot be written.
+    """
+    if not flights:
+        raise ValueError("a report needs at least one flight")
+    out = Path(out_html)
+    flown = list(zip(flights, lines(flights), strict=True))
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(_page(flown), encoding="utf-8")
+        figures = write_figures(flown, out.with_suffix(""))
+    except OSError as error:
+        raise BagError(f"{out}: cannot write the report: {error.strerror}") from None
+    return [out, *figures]
+
+
+def _page(flown: Flown) -> str:
+    modes = " and ".join(line.label for _, line in flown)
+    sections = "\n".join(_section(name, flown) for name in CHARTS)
+    warnings = "".join(
+        f'<p class="warning">{escape(line.label)}: the bag has no end, because its recorder was '
+        "killed; what it had written is shown.</p>"
+        for flight, line in flown
+        if flight.truncated
+    )
+    warnings += "".join(
+        f"<p>{escape(line.label)}: this controller did not fly. It was fed the recorded states "
+        "again: motion and residual are the recorded ones; margins, slack, solve times and what "
+        "its plans foresee are its own.</p>"
+        for flight, line in flown
+        if flight.replayed
+    )
+    # The icon in the page keeps the browser from asking for one.
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>Tower inspection: {escape(modes)}</title>
+<link rel="icon" href="data:,">
+<style>{STYLE}</style>
+<script>{get_plotlyjs()}</script>
+</head>
+<body>
+<h1>Tower inspection: {escape(modes)}</h1>
+{warnings}
+<div class="tables">
+<section><h2>Summary</h2>
+{_table(flown, _summary_rows(flown))}</section>
+<section><h2>Flight conditions</h2>
+{_table(flown, _CONDITIONS)}</section>
+</div>
+{sections}
+</body>
+</html>
+"""
+
+
+def _summary_rows(flown: Flown) -> Sequence[Row]:
+    foreseen = any(flight.predictions is not None for flight, _ in flown)
+    return (*_SUMMARY, *_COMPARISON) if foreseen else _SUMMARY
+
+
+def _section(name: str, flown: Flown) -> str:
+    title, caption = CAPTIONS[name]
+    chart = CHARTS[name](flown).to_html(
+        full_html=False, include_plotlyjs=False, config=_PLOTLY_CONFIG, div_id=f"chart-{name}"
+    )
+    return f'<h2>{title}</h2>\n<p>{caption}</p>\n<figure id="{name}">{chart}</figure>'
+
+
+def _table(flown: Flown, rows: Sequence[Row]) -> str:
+    heads = "".join(
+        f'<th scope="col"><span class="key" style="background:{line.colour}"></span>'
+        f"{escape(line.label)}</th>"
+        for _, line in flown
+    )
+    body = "\n".join(
+        f'<tr><th scope="row">{name}</th>'
+        + "".join(f"<td>{value(flight)}</td>" for flight, _ in flown)
+        + "</tr>"
+        for name, value in rows
+    )
+    return (
+        f'<div class="scroll"><table>\n<thead><tr><td></td>{heads}</tr></thead>\n'
+        f"<tbody>\n{body}\n</tbody>\n</table></div>"
+    )
+
+
+def _violated(flight: Flight) -> str:
+    share = 100.0 * float((flight.residual > 0.0).mean())
+    if not flight.residual_statistics["violated"]:
+        return "no"
+    return f'<strong class="bad">yes</strong>, {share:.1f} % of samples'
+
+
+def _solve(key: Literal["median", "p99", "max"]) -> Value:
+    def value(flight: Flight) -> str:
+        statistics = flight.solve_statistics
+        return "not recorded" if statistics is None else f"{statistics[key]:.2f}"
+
+    return value
+
+
+def _quartile(key: Literal["min", "q1", "median", "q3", "max"]) -> Value:
+    return lambda flight: _signed(flight.residual_statistics["residual_m"][key])
+
+
+def _signed(value: float) -> str:
+    return f"{value:.3f}".replace("-", "−")
+
+
+def _misses(flight: Flight) -> str:
+    if flight.deadline_misses is None:
+        return "not recorded"
+    return f"{flight.deadline_misses} of {flight.solve_ms.size}"
+
+
+def _softened(flight: Flight) -> str:
+    if not flight.margins.t.size:
+        return "not recorded"
+    used = int((flight.margins.slack.max(axis=1) > 1e-6).sum())
+    return f"{used} of {flight.margins.t.size}"
+
+
+def _foreseen(flight: Flight) -> str:
+    if flight.predictions is None or not flight.predictions.t.size:
+        return "not recorded"
+    return _signed(float(flight.predictions.residual.max()))
+
+
+def _largest_margin(flight: Flight) -> str:
+    return f"{flight.margins.total.max():.3f}" if flight.margins.t.size else "not recorded"
+
+
+def _channel(index: int) -> Value:
+    def value(flight: Flight) -> str:
+        if flight.zeta is None:
+            return "not recorded"
+        number = flight.zeta[index]
+        text = f"{number:.2f} N" if CHANNELS[index].startswith("w_b") else f"{100 * number:.1f} %"
+        return text.replace("-", "−")
+
+    return value
+
+
+def _optional(value: object) -> str:
+    return "not recorded" if value is None else escape(str(value))
+
+
+def _deadline(flight: Flight) -> str:
+    return "not recorded" if math.isnan(flight.deadline_ms) else f"{flight.deadline_ms:g} ms"
+
+
+_SUMMARY: tuple[Row, ...] = (
+    (
+        "minimum clearance [m]",
+        lambda f: f"<strong>{f.residual_statistics['min_clearance_m']:.3f}</strong>",
+    ),
+    ("clearance violated", _violated),
+    ("residual s, maximum [m]", _quartile("max")),
+    ("upper quartile [m]", _quartile("q3")),
+    ("median [m]", _quartile("median")),
+    ("lower quartile [m]", _quartile("q1")),
+    ("minimum [m]", _quartile("min")),
+    ("samples", lambda f: str(f.residual.size)),
+    ("solve time, median [ms]", _solve("median")),
+    ("99th percentile [ms]", _solve("p99")),
+    ("maximum [ms]", _solve("max")),
+    ("deadline misses", _misses),
+    ("steps with slack", _softened),
+)
+_COMPARISON: tuple[Row, ...] = (
+    ("residual foreseen at the end of plans, maximum [m]", _foreseen),
+    ("largest margin [m]", _largest_margin),
+)
+_CONDITIONS: tuple[Row, ...] = (
+    ("duration", lambda f: f"{f.duration_s:.1f} s"),
+    ("tower radius", lambda f: f"{f.tower.radius_m:g} m"),
+    ("least clearance d<sub>min</sub>", lambda f: f"{f.tower.min_clearance_m:g} m"),
+    ("reference clearance", lambda f: f"{f.helix.offset_m:g} m"),
+    ("sampling time", _deadline),
+    *((f"true mismatch, {name}", _channel(j)) for j, name in enumerate(CHANNELS[:6])),
+    *(
+        (f"true wind bias, {axis}", _channel(j))
+        for j, axis in ((6, "x, east"), (7, "y, north"), (8, "z, up"))
+    ),
+    ("gusts", lambda f: _optional(f.gust)),
+    ("seed", lambda f: _optional(f.seed)),
+    ("bag", lambda f: f"<code>{escape(f.source.name)}</code>"),
+)

@@ -1,0 +1,267 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The figures on paper: PNG, drawn by matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from gtmr_monitor.flight import Flight
+from gtmr_monitor.report import look
+from gtmr_monitor.report.drawing import new_figure, save
+from gtmr_monitor.report.look import Line
+
+_DASHES = {"solid": "-", "dash": "--", "dot": ":"}
+
+Flown = Sequence[tuple[Flight, Line]]
+
+
+def trajectory(flown: Flown) -> Figure:
+    """Draw the flights round the tower, in space and from above."""
+    flown = look.moved(flown)
+    figure = new_figure(9.0, 5.2)
+    grid = figure.add_gridspec(1, 2, width_ratios=(1.2, 1.0))
+    space = figure.add_subplot(grid[0], projection="3d")
+    above = figure.add_subplot(grid[1])
+    first = flown[0][0]
+    angle = np.linspace(0.0, 2.0 * np.pi, 73)
+    radius, d_min = first.tower.radius_m, first.tower.min_clearance_m
+    top = max(flight.p[:, 2].max() for flight, _ in flown)
+    bottom = min(flight.p[:, 2].min() for flight, _ in flown)
+    height = np.array([bottom - 0.15, top + 0.15])
+    space.plot_surface(
+        radius * np.cos(angle)[None].repeat(2, 0),
+        radius * np.sin(angle)[None].repeat(2, 0),
+        height[:, None].repeat(angle.size, 1),
+        color=look.TOWER,
+        alpha=0.45,
+        linewidth=0,
+    )
+    above.fill(radius * np.cos(angle), radius * np.sin(angle), color=look.TOWER, label="tower")
+    above.plot(
+        (radius + d_min) * np.cos(angle),
+        (radius + d_min) * np.sin(angle),
+        color=look.LIMIT,
+        linestyle=(0, (4, 2)),
+        linewidth=1.0,
+        label=f"$d_\\mathrm{{min}}$ = {d_min:g} m",
+    )
+    duration = max(flight.duration_s for flight, _ in flown)
+    reference = first.helix.at(np.linspace(0.0, duration, 600), first.tower).position
+    space.plot(*reference.T, color=look.QUIET, linestyle=":", linewidth=1.0)
+    above.plot(*reference.T[:2], color=look.QUIET, linestyle=":", label="reference")
+    for flight, line in flown:
+        space.plot(*flight.p.T, **_pen(line))
+        above.plot(*flight.p.T[:2], **_pen(line), label=line.label)
+    # A long climb would shrink a true-to-scale box to a needle: the height has its own scale.
+    space.set_box_aspect((1.0, 1.0, 1.0), zoom=0.86)
+    space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title="Trajectory")
+    space.view_init(elev=24.0, azim=-56.0)
+    above.set(xlabel="x, east [m]", ylabel="y, north [m]", title="From above", aspect="equal")
+    _legend_below(figure, above)
+    return figure
+
+
+def residual(flown: Flown) -> Figure:
+    """Draw the clearance residual over time and as box plots, with the safety line."""
+    figure = new_figure(9.0, 4.0)
+    over_time, box = figure.subplots(1, 2, width_ratios=(3.4, 1.0), sharey=True)
+    moved = look.moved(flown)
+    for flight, line in moved:
+        over_time.plot(flight.t, flight.residual, **_pen(line), label=line.label)
+        for at, mode in flight.modes[1:]:
+            over_time.axvline(at, color=line.colour, linestyle=":", linewidth=1.0)
+            over_time.annotate(
+                f" {mode}", (at, 1.0), xycoords=("data", "axes fraction"), va="top", fontsize=8
+            )
+    for flight, line in flown:
+        if flight.predictions is not None:
+            over_time.plot(
+                flight.predictions.t, flight.predictions.residual, color=line.colour,
+                linestyle=":", linewidth=0.9, label=f"{line.label}, foreseen",
+            )  # fmt: skip
+    boxes = box.boxplot(
+        [flight.residual for flight, _ in moved],
+        whis=(0.0, 100.0),
+        widths=0.5,
+        patch_artist=True,
+        medianprops={"color": look.INK, "linewidth": 1.4},
+    )
+    for patch, (_, line) in zip(boxes["boxes"], moved, strict=True):
+        patch.set(facecolor=line.colour, alpha=0.55, edgecolor=line.colour)
+    box.set_xticks(range(1, len(moved) + 1), [line.label.replace(" ", "\n") for _, line in moved])
+    box.grid(axis="x", visible=False)
+    box.set_title("Quartiles, extremes")
+    for axes in (over_time, box):
+        axes.axhline(0.0, color=look.LIMIT, linestyle=(0, (4, 2)), linewidth=1.2)
+    over_time.annotate(
+        "violated above 0", (0.005, 0.0), (0.0, 3.0), xycoords=("axes fraction", "data"),
+        textcoords="offset points", va="bottom", fontsize=8, color=look.LIMIT,
+    )  # fmt: skip
+    over_time.set_ylim(look.residual_range([flight for flight, _ in flown]))
+    over_time.set(
+        xlabel="time [s]", ylabel=r"$s = d_\mathrm{min} - d_T$ [m]", title="Clearance residual"
+    )
+    over_time.margins(x=0.0)
+    _legend_below(figure, over_time)
+    return figure
+
+
+def margins(flown: Flown) -> Figure:
+    """Draw the parts of the tightening: at the last stage over time, and over the horizon."""
+    tightened = look.tightened(flown)
+    figure = new_figure(9.0, 3.3 * max(1, len(tightened)) + 0.7)
+    if not tightened:
+        axes = figure.subplots()
+        axes.text(0.5, 0.5, "no tightening was recorded", ha="center", va="center")
+        axes.set_axis_off()
+        return figure
+    rows = figure.subplots(len(tightened), 2, squeeze=False, width_ratios=(1.6, 1.0), sharey="row")
+    for (flight, line), (over_time, horizon) in zip(tightened, rows, strict=True):
+        parts = look.margin_parts(flight.margins)
+        labels = [look.MARGIN_LABELS[name] for name in parts]
+        colours = [look.MARGIN_COLOURS[name] for name in parts]
+        last = [1e3 * part[:, -1] for part in parts.values()]
+        over_time.stackplot(flight.margins.t, last, colors=colours, labels=labels, linewidth=0)
+        stages = np.arange(flight.margins.total.shape[1])
+        mean = [1e3 * part[flight.margins.total.any(axis=1)].mean(axis=0)
+                for part in parts.values()]  # fmt: skip
+        horizon.stackplot(stages, mean, colors=colours, linewidth=0)
+        over_time.set(xlabel="time [s]", ylabel="margin [mm]", title=f"Last stage, {line.label}")
+        horizon.set(xlabel="stage i", title="Over the horizon, mean of the flight")
+        over_time.margins(x=0.0)
+        horizon.margins(x=0.0)
+        horizon.xaxis.set_major_locator(MaxNLocator(integer=True))
+    _legend_below(figure, rows[0][0], columns=6)
+    return figure
+
+
+def solve_times(flown: Flown) -> Figure:
+    """Draw the time per controller step: over the flight, and how it is distributed."""
+    figure = new_figure(9.0, 3.8)
+    over_time, share = figure.subplots(1, 2, width_ratios=(2.0, 1.0), sharey=True)
+    timed = [(flight, line) for flight, line in flown if flight.solve_ms.size]
+    edges = look.solve_time_bins([flight for flight, _ in timed])
+    for flight, line in timed:
+        over_time.plot(
+            flight.t_solve, flight.solve_ms, ".", markersize=2.5, color=line.colour, alpha=0.45
+        )
+        share.hist(
+            flight.solve_ms, edges, orientation="horizontal", histtype="stepfilled",
+            facecolor=to_rgba(line.colour, 0.3), edgecolor=line.colour, label=line.label,
+            linestyle=_DASHES[line.dash], linewidth=1.2,
+        )  # fmt: skip
+    deadline = flown[0][0].deadline_ms
+    if np.isfinite(deadline):
+        for axes in (over_time, share):
+            axes.axhline(deadline, color=look.LIMIT, linestyle=(0, (4, 2)), linewidth=1.2)
+        share.annotate(
+            "deadline $T_s$", (1.0, deadline), (0.0, 3.0), xycoords=("axes fraction", "data"),
+            textcoords="offset points", ha="right", va="bottom", fontsize=8,
+        )  # fmt: skip
+    over_time.set_yscale("log")
+    over_time.yaxis.set_major_formatter("{x:g}")
+    over_time.set(xlabel="time [s]", ylabel="solve time [ms]", title="Time per controller step")
+    over_time.margins(x=0.0)
+    share.set(xlabel="steps", title="Distribution")
+    if timed:
+        _legend_below(figure, share)
+    return figure
+
+
+def rotors(flown: Flown) -> Figure:
+    """Draw the speed of every rotor, one panel per flight."""
+    flown = look.moved(flown)
+    figure = new_figure(9.0, 2.4 * len(flown) + 0.6)
+    panels = figure.subplots(len(flown), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
+    for (flight, line), axes in zip(flown, panels, strict=True):
+        for rotor, speed in enumerate(flight.rotor_speed_hz.T):
+            axes.plot(
+                flight.t_rotors, speed, linewidth=1.1, label=f"rotor {rotor}",
+                color=look.rotor_colour(rotor),
+                # Opposite rotors often turn alike: the second must not hide the first.
+                linestyle="-" if rotor < flight.rotor_speed_hz.shape[1] / 2 else (0, (3, 2)),
+            )  # fmt: skip
+        axes.set(ylabel="rotor speed [Hz]", title=f"Rotor speeds, {line.label}")
+        axes.margins(x=0.0)
+    panels[-1].set_xlabel("time [s]")
+    _legend_below(figure, panels[0], columns=8)
+    return figure
+
+
+def attitude(flown: Flown) -> Figure:
+    """Draw roll, pitch and the deviation of the heading from the tower."""
+    flown = look.moved(flown)
+    figure = new_figure(9.0, 5.6)
+    panels = figure.subplots(3, 1, sharex=True)
+    names = ("roll [deg]", "pitch [deg]", "heading error [deg]")
+    for flight, line in flown:
+        angles = np.column_stack([flight.eta[:, :2], flight.heading_error])
+        for axes, values in zip(panels, np.degrees(angles).T, strict=True):
+            axes.plot(flight.t, values, **_pen(line), label=line.label)
+    for axes, name in zip(panels, names, strict=True):
+        axes.set_ylabel(name)
+        axes.margins(x=0.0)
+        axes.axhline(0.0, color=look.QUIET, linewidth=0.6, zorder=0)
+    panels[0].set_title("Attitude; heading against the bearing to the tower's axis")
+    panels[-1].set_xlabel("time [s]")
+    figure.align_ylabels(panels)
+    _legend_below(figure, panels[0])
+    return figure
+
+
+FIGURES: dict[str, Callable[[Flown], Figure]] = {
+    "trajectory": trajectory,
+    "residual": residual,
+    "margins": margins,
+    "solve_times": solve_times,
+    "rotors": rotors,
+    "attitude": attitude,
+}
+"""The figures of a report by name."""
+
+
+def write_figures(flown: Flown, prefix: Path) -> list[Path]:
+    """Draw every figure into a PNG file.
+
+    Parameters
+    ----------
+    flown : sequence of (Flight, Line)
+        The flights and how they are drawn.
+    prefix : pathlib.Path
+        Folder and beginning of the file names, to which the figure's name is added.
+
+    Returns
+    -------
+    list of pathlib.Path
+        The files.
+    """
+    files = []
+    for name, draw in FIGURES.items():
+        stem = prefix.with_name(f"{prefix.name}-{name.replace('_', '-')}")
+        files += save(partial(draw, flown), stem, ("png",))
+    return files
+
+
+def _pen(line: Line) -> dict[str, Any]:
+    return {"color": line.colour, "linestyle": _DASHES[line.dash]}
+
+
+def _legend_below(figure: Figure, axes: Axes, columns: int = 5) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(columns, len(labels)))

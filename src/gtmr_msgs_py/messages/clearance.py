@@ -1,0 +1,62 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The distance to the tower as sensor_msgs/Range, and its residual as std_msgs/Float64."""
+
+from __future__ import annotations
+
+import math
+
+from sensor_msgs.msg import Range
+from std_msgs.msg import Float64
+
+from gtmr_msgs_py.topics import BASE_LINK
+from gtmr_msgs_py.wire import stamps
+
+
+def encode(stamp_ns: int, clearance_m: float, min_clearance_m: float) -> Range:
+    """Make the range message of a clearance.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        Stamp of the odometry that it was computed from [ns].
+    clearance_m : float
+        d_T, distance to the tower's surface [m].
+    min_clearance_m : float
+        d_min [m].
+
+    Returns
+    -------
+    sensor_msgs.msg.Range
+        Single precision, by the message's definition.
+    """
+    msg = Range(
+        radiation_type=Range.INFRARED,
+        min_range=float(min_clearance_m),
+        max_range=math.inf,
+        range=float(clearance_m),
+    )
+    msg.header.stamp = stamps.encode(stamp_ns)
+    msg.header.frame_id = BASE_LINK
+    return msg
+
+
+def encode_residual(residual_m: float) -> Float64:
+    """Make the message of a clearance residual.
+
+    Parameters
+    ----------
+    residual_m : float
+        s = d_min - d_T [m].
+
+    Returns
+    -------
+    std_msgs.msg.Float64
+    """
+    return Float64(data=float(residual_m))

@@ -1,0 +1,142 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Position, attitude, velocity and body rates as nav_msgs/Odometry.
+
+The state has its velocity in the world frame, the message in the child frame: it is rotated here
+and nowhere else.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from geometry_msgs.msg import Quaternion
+from nav_msgs.msg import Odometry
+from numpy.typing import ArrayLike, NDArray
+from rclpy.serialization import deserialize_message
+
+from gtmr_model.dynamics import ATTITUDE, POSITION, RATE, VELOCITY
+from gtmr_msgs_py.topics import BASE_LINK, MAP
+from gtmr_msgs_py.wire import attitude, stamps
+from gtmr_msgs_py.wire.fixed_cdr import FixedCdr
+from gtmr_msgs_py.wire.message_error import MessageError
+
+POSE = slice(0, 7)
+"""Position and quaternion among the numbers of the message."""
+TWIST = slice(43, 49)
+"""Linear and angular velocity among them."""
+NUMBERS = 85
+"""How many there are, with two covariances of 36."""
+
+
+def decode(msg: Odometry) -> tuple[int, NDArray[np.float64]]:
+    """Read the state out of an odometry message.
+
+    Parameters
+    ----------
+    msg : nav_msgs.msg.Odometry
+        Twist in the child frame, as the message's definition says.
+
+    Returns
+    -------
+    stamp_ns : int
+        When the state was measured [ns].
+    x : NDArray, shape (12,)
+        State [p, eta, v, omega]; yaw is within -pi to pi.
+
+    Raises
+    ------
+    MessageError
+        If a number is not finite or the orientation is no unit quaternion.
+    """
+    pose, twist = msg.pose.pose, msg.twist.twist
+    x = _state(
+        (pose.position.x, pose.position.y, pose.position.z),
+        pose.orientation,
+        (twist.linear.x, twist.linear.y, twist.linear.z),
+        (twist.angular.x, twist.angular.y, twist.angular.z),
+    )
+    return stamps.decode(msg.header.stamp), x
+
+
+def pack(stamp_ns: int, x: ArrayLike) -> bytes:
+    """Make the odometry of a state, as the bytes that go over the wire.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        When the state was measured [ns].
+    x : array_like, shape (12,) or longer
+        State [p, eta, v, omega, ...]: m, rad, m/s, rad/s; p and v in world ENU, omega in body FLU.
+
+    Returns
+    -------
+    bytes
+        CDR of a nav_msgs/Odometry; covariances are zero, that is, not known.
+    """
+    state = np.asarray(x, dtype=float)
+    q = attitude.encode(state[ATTITUDE])
+    numbers = np.zeros(NUMBERS)
+    numbers[POSE] = *state[POSITION], q.x, q.y, q.z, q.w
+    numbers[TWIST] = *(attitude.rotation(q).T @ state[VELOCITY]), *state[RATE]
+    return _layout().pack(stamp_ns, numbers)
+
+
+def unpack(data: bytes) -> tuple[int, NDArray[np.float64]]:
+    """Read the state as `decode` does, out of bytes; those of `pack` in half the time.
+
+    Parameters
+    ----------
+    data : bytes
+        CDR of a nav_msgs/Odometry from anywhere.
+
+    Returns
+    -------
+    stamp_ns : int
+        When the state was measured [ns].
+    x : NDArray, shape (12,)
+        State [p, eta, v, omega]; yaw is within -pi to pi.
+
+    Raises
+    ------
+    MessageError
+        If a number is not finite or the orientation is no unit quaternion.
+    """
+    unpacked = _layout().unpack(data)
+    if unpacked is None:
+        return decode(deserialize_message(data, Odometry))
+    stamp_ns, numbers = unpacked
+    p_x, p_y, p_z, q_x, q_y, q_z, q_w = numbers[POSE].tolist()
+    twist = numbers[TWIST]
+    orientation = Quaternion(x=q_x, y=q_y, z=q_z, w=q_w)
+    return stamp_ns, _state((p_x, p_y, p_z), orientation, twist[:3], twist[3:])
+
+
+def _state(
+    position: ArrayLike, orientation: Quaternion, linear: ArrayLike, angular: ArrayLike
+) -> NDArray[np.float64]:
+    """Turn the twist, which a message has in the child frame, and the attitude."""
+    body_to_world = attitude.rotation(orientation)
+    x = np.empty(12)
+    x[POSITION] = position
+    x[ATTITUDE] = attitude.roll_pitch_yaw(body_to_world)
+    x[VELOCITY] = body_to_world @ np.asarray(linear)
+    x[RATE] = angular
+    if not np.isfinite(x).all():
+        raise MessageError(f"odometry is not finite: {x}")
+    return x
+
+
+@cache
+def _layout() -> FixedCdr:
+    layout = FixedCdr(MAP)
+    layout.string(BASE_LINK)
+    layout.float64(NUMBERS)
+    return layout

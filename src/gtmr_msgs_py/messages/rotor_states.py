@@ -1,0 +1,141 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Rotor speeds as sensor_msgs/JointState: Hz in the state, rad/s in the message."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+
+from gtmr_msgs_py.wire import stamps
+from gtmr_msgs_py.wire.fixed_cdr import FixedCdr
+from gtmr_msgs_py.wire.message_error import MessageError
+
+RAD_PER_TURN = 2.0 * math.pi
+"""From Hz to rad/s, and from Hz/s to rad/s^2."""
+
+
+def rotor_names(n_rotors: int) -> list[str]:
+    """Name the rotors, as joints.
+
+    Parameters
+    ----------
+    n_rotors : int
+        N_p.
+
+    Returns
+    -------
+    list of str
+        ``rotor_0`` on, in the order of the state.
+    """
+    return [f"rotor_{i}" for i in range(n_rotors)]
+
+
+def decode(msg: JointState, n_rotors: int) -> tuple[int, NDArray[np.float64]]:
+    """Read the rotor speeds, in the order of the state whatever the order of the names.
+
+    Parameters
+    ----------
+    msg : sensor_msgs.msg.JointState
+        Speeds [rad/s]; without names they are taken in order.
+    n_rotors : int
+        N_p, how many rotors the vehicle has.
+
+    Returns
+    -------
+    stamp_ns : int
+        When they were measured [ns].
+    xi : NDArray, shape (N_p,)
+        Rotor speeds [Hz].
+
+    Raises
+    ------
+    MessageError
+        If rotors are missing, or a speed is not finite.
+    """
+    xi = np.array(msg.velocity) / RAD_PER_TURN
+    names = list(msg.name)
+    expected = rotor_names(n_rotors)
+    if len(xi) != n_rotors or (names and sorted(names) != sorted(expected)):
+        raise MessageError(
+            f"rotor_states has {len(xi)} speeds for {names}: expected {', '.join(expected)}"
+        )
+    if names and names != expected:
+        xi = xi[[names.index(name) for name in expected]]
+    return stamps.decode(msg.header.stamp), _finite(xi)
+
+
+def pack(stamp_ns: int, xi: ArrayLike) -> bytes:
+    """Make the rotor states of a state, as the bytes that go over the wire.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        When they were measured [ns]: the stamp of the odometry they belong to.
+    xi : array_like, shape (N_p,)
+        Rotor speeds [Hz].
+
+    Returns
+    -------
+    bytes
+        CDR of a sensor_msgs/JointState.
+    """
+    speeds = RAD_PER_TURN * np.asarray(xi, dtype=float)
+    return _layout(len(speeds)).pack(stamp_ns, speeds)
+
+
+def unpack(data: bytes, n_rotors: int) -> tuple[int, NDArray[np.float64]]:
+    """Read the rotor speeds as `decode` does, out of bytes; fast those of `pack`.
+
+    Parameters
+    ----------
+    data : bytes
+        CDR of a sensor_msgs/JointState from anywhere.
+    n_rotors : int
+        N_p, how many rotors the vehicle has.
+
+    Returns
+    -------
+    stamp_ns : int
+        When they were measured [ns].
+    xi : NDArray, shape (N_p,)
+        Rotor speeds [Hz].
+
+    Raises
+    ------
+    MessageError
+        If rotors are missing, or a speed is not finite.
+    """
+    unpacked = _layout(n_rotors).unpack(data)
+    if unpacked is None:
+        return decode(deserialize_message(data, JointState), n_rotors)
+    stamp_ns, speeds = unpacked
+    return stamp_ns, _finite(speeds / RAD_PER_TURN)
+
+
+def _finite(xi: NDArray[np.float64]) -> NDArray[np.float64]:
+    if not np.isfinite(xi).all():
+        raise MessageError(f"rotor_states is not finite: {xi} Hz")
+    return xi
+
+
+@cache
+def _layout(n_rotors: int) -> FixedCdr:
+    layout = FixedCdr()
+    layout.strings(rotor_names(n_rotors))
+    # Neither positions nor efforts.
+    layout.uint32(0, n_rotors)
+    layout.float64(n_rotors)
+    layout.uint32(0)
+    return layout

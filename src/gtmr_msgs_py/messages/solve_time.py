@@ -1,0 +1,28 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The time of one controller step as std_msgs/Float64."""
+
+from __future__ import annotations
+
+from std_msgs.msg import Float64
+
+
+def encode(solve_time_s: float) -> Float64:
+    """Make the message of a solve time.
+
+    Parameters
+    ----------
+    solve_time_s : float
+        Preparation and feedback together, wall time [s].
+
+    Returns
+    -------
+    std_msgs.msg.Float64
+    """
+    return Float64(data=float(solve_time_s))

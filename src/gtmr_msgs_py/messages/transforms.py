@@ -1,0 +1,66 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Where the vehicle is, as the transform from `map` to `base_link` that tf2 spreads.
+
+``tf2_msgs`` comes with an installed ROS 2 and not with the wheels on PyPI: without it there is no
+transform, and every view of the suite still works, since all else is published in `map`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from geometry_msgs.msg import TransformStamped, Vector3
+from numpy.typing import ArrayLike
+
+from gtmr_model.dynamics import ATTITUDE, POSITION
+from gtmr_msgs_py.topics import BASE_LINK, MAP, TFMessage
+from gtmr_msgs_py.wire import attitude, stamps
+
+
+def encode(stamp_ns: int, x: ArrayLike) -> TFMessage:
+    """Make the message of a state, which needs ``tf2_msgs``.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        When the state was measured [ns].
+    x : array_like, shape (6,) or longer
+        State [p, eta, ...]: world ENU [m], [rad].
+
+    Returns
+    -------
+    tf2_msgs.msg.TFMessage
+        The one transform from `map` to `base_link`.
+    """
+    return TFMessage(transforms=[transform(stamp_ns, x)])
+
+
+def transform(stamp_ns: int, x: ArrayLike) -> TransformStamped:
+    """Make the transform of a state.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        When the state was measured [ns].
+    x : array_like, shape (6,) or longer
+        State [p, eta, ...]: world ENU [m], [rad].
+
+    Returns
+    -------
+    geometry_msgs.msg.TransformStamped
+        The pose of `base_link` (FLU) in `map` (ENU).
+    """
+    state = np.asarray(x, dtype=float)
+    px, py, pz = (float(value) for value in state[POSITION])
+    msg = TransformStamped(child_frame_id=BASE_LINK)
+    msg.header.stamp = stamps.encode(stamp_ns)
+    msg.header.frame_id = MAP
+    msg.transform.translation = Vector3(x=px, y=py, z=pz)
+    msg.transform.rotation = attitude.encode(state[ATTITUDE])
+    return msg

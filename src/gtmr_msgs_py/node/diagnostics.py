@@ -1,0 +1,125 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What a node says of itself once a second, as diagnostic_msgs/DiagnosticArray."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from gtmr_msgs_py.wire import stamps
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+Value = str | bool | int | float
+
+
+class Level(IntEnum):
+    """How a node is doing."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+def source(node: Node) -> str:
+    """Say who is speaking, as viewers group statuses by the part of their name before the colon.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Who publishes.
+
+    Returns
+    -------
+    str
+        Its name, with the namespace if it has one: ``nmpc``, or ``hex1/nmpc``.
+    """
+    return str(node.get_fully_qualified_name()).lstrip("/")
+
+
+def encode(
+    stamp_ns: int,
+    name: str,
+    level: Level,
+    message: str,
+    values: Mapping[str, Value],
+    hardware_id: str = "",
+) -> DiagnosticArray:
+    """Make the diagnostics of a node.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        [ns].
+    name : str
+        What is diagnosed, for example ``nmpc: controller``.
+    level : Level
+        How it is doing.
+    message : str
+        The same in words.
+    values : mapping
+        Figures by name; names end in their unit.
+    hardware_id : str
+        Which vehicle.
+
+    Returns
+    -------
+    diagnostic_msgs.msg.DiagnosticArray
+    """
+    status = DiagnosticStatus(
+        name=name,
+        level=bytes([level]),
+        message=message,
+        hardware_id=hardware_id,
+        values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
+    )
+    msg = DiagnosticArray(status=[status])
+    msg.header.stamp = stamps.encode(stamp_ns)
+    return msg
+
+
+def decode(status: DiagnosticStatus) -> dict[str, Value]:
+    """Read the figures of a status.
+
+    Parameters
+    ----------
+    status : diagnostic_msgs.msg.DiagnosticStatus
+        From any node.
+
+    Returns
+    -------
+    dict
+        Whole numbers, other numbers, true and false as what they are, everything else as text.
+    """
+    return {pair.key: _value(pair.value) for pair in status.values}
+
+
+def _text(value: Value) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return str(value)
+
+
+def _value(text: str) -> Value:
+    if text in ("true", "false"):
+        return text == "true"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text

@@ -1,0 +1,168 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The parameters of a node, kept together as the configuration that they make up."""
+
+from __future__ import annotations
+
+import copy
+from array import array
+from collections.abc import Callable, Collection, Mapping
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    ParameterException,
+)
+from rclpy.parameter import Parameter
+
+from gtmr_model import ConfigError, YamlModel
+from gtmr_msgs_py.node.declarations import declarations
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+M = TypeVar("M", bound=YamlModel)
+
+
+class ModelParameters(Generic[M]):
+    """The parameters of a node, held together by the configuration that they make up.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Whose parameters they are.
+    model_type : type
+        The configuration; its defaults are the parameters' defaults.
+    presets : mapping, optional
+        Top-level fields that are one string, a preset's name or the path of a YAML file, with
+        the default name.
+    dynamic : collection of str
+        Names of the parameters that may change while the node runs, the name of a nested model
+        standing for all that is in it; all others are read-only.
+    settle : callable, optional
+        Maps the configuration at start to the one to use; what it changes is set before
+        parameters become read-only. For values that are drawn or computed once.
+    on_change : callable, optional
+        Gets the new configuration after a dynamic parameter was set.
+
+    Raises
+    ------
+    ConfigError
+        If a value from the command line or a parameter file has a wrong type or is refused.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        model_type: type[M],
+        presets: Mapping[str, str] | None = None,
+        dynamic: Collection[str] = (),
+        settle: Callable[[M], M] | None = None,
+        on_change: Callable[[M], None] | None = None,
+    ) -> None:
+        self._node = node
+        self._model_type = model_type
+        self._presets = presets or {}
+        self._loaded: dict[tuple[str, str], YamlModel] = {}
+        self._on_change = on_change
+        self._declarations = {
+            declaration.name: declaration
+            for declaration in declarations(model_type(), self._presets, dynamic)
+        }
+        self._declare()
+        self.value: M = self._build({})
+        """The configuration in force."""
+        if settle is not None:
+            self._settle(settle(self.value))
+        self._fix()
+        node.add_on_set_parameters_callback(self._validate)
+        node.add_post_set_parameters_callback(self._apply)
+
+    def _declare(self) -> None:
+        for name, declaration in self._declarations.items():
+            # Read-only comes last: until then values may still be settled.
+            descriptor = copy.deepcopy(declaration.descriptor)
+            descriptor.read_only = False
+            try:
+                self._node.declare_parameter(name, declaration.value, descriptor)
+            except InvalidParameterTypeException:
+                expected = Parameter.Type.from_parameter_value(declaration.value).name.lower()
+                raise ConfigError(
+                    f"{self._node.get_name()}: {name} has a value of the wrong type: expected "
+                    f"{expected.replace('_', ' ')}, as {declaration.value!r}"
+                ) from None
+            except InvalidParameterValueException as error:
+                reason = str(error).rpartition("Reason: ")[2].removesuffix(f": {name}")
+                raise ConfigError(f"{self._node.get_name()}: {reason}") from None
+            except ParameterException as error:
+                raise ConfigError(f"{self._node.get_name()}: {name}: {error}") from None
+
+    def _settle(self, value: M) -> None:
+        self.value = value
+        settled = [
+            Parameter(declaration.name, value=declaration.value)
+            for declaration in declarations(value, self._presets)
+            if declaration.name not in self._presets
+        ]
+        changed = [
+            parameter
+            for parameter in settled
+            if parameter.value != _plain(self._node.get_parameter(parameter.name).value)
+        ]
+        self._node.set_parameters(changed)
+
+    def _fix(self) -> None:
+        for name, declaration in self._declarations.items():
+            descriptor = copy.deepcopy(self._node.describe_parameter(name))
+            descriptor.read_only = declaration.descriptor.read_only
+            self._node.set_descriptor(name, descriptor)
+
+    def _build(self, proposed: Mapping[str, Any]) -> M:
+        data: dict[str, Any] = {}
+        for name, declaration in self._declarations.items():
+            value = proposed.get(name, self._node.get_parameter(name).value)
+            if name in self._presets:
+                value = self._preset(name, value)
+            branch = data
+            for part in declaration.path[:-1]:
+                branch = branch.setdefault(part, {})
+            branch[declaration.path[-1]] = _plain(value)
+        return self._model_type.parse(data, self._node.get_name())
+
+    def _preset(self, name: str, value: str) -> YamlModel:
+        """Read a preset once: a file that is edited in flight must not stop other changes."""
+        if (name, value) not in self._loaded:
+            annotation = cast("type[YamlModel]", self._model_type.model_fields[name].annotation)
+            self._loaded[name, value] = annotation.load(name, value)
+        return self._loaded[name, value]
+
+    def _ours(self, parameters: Collection[Parameter]) -> dict[str, Any]:
+        return {p.name: p.value for p in parameters if p.name in self._declarations}
+
+    def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
+        proposed = self._ours(parameters)
+        if proposed:
+            try:
+                self._build(proposed)
+            except ConfigError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _apply(self, parameters: list[Parameter]) -> None:
+        if self._ours(parameters):
+            self.value = self._build({})
+            if self._on_change is not None:
+                self._on_change(self.value)
+
+
+def _plain(value: Any) -> Any:
+    """Turn the arrays that rclpy keeps into lists."""
+    return list(value) if isinstance(value, array) else value

@@ -1,0 +1,114 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A node as a process: start, spin, end without a traceback."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import sys
+from collections.abc import Callable
+
+import rclpy
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from gtmr_model import ConfigError
+from gtmr_msgs_py.node.suite_node import SuiteNode
+
+try:
+    from rclpy.experimental import EventsExecutor as Prompt
+except ModuleNotFoundError:
+    # The first releases of Jazzy have none.
+    Prompt = SingleThreadedExecutor
+
+BAD_INPUT = 2
+"""Exit code when a parameter or an argument cannot be used."""
+PROMPT: Callable[..., Executor] = Prompt
+"""Hands a message on in half the time of rclpy's usual executor, which at every message waits for
+everything anew; of rclpy 7.1.6 it has no callbacks that ask what the middleware tells of it."""
+WAIT_S = 0.1
+"""How long to wait for anything to happen before looking whether to go on [s]; without any such
+limit `PROMPT` of rclpy 7.1.6 handles nothing."""
+STOPS = (signal.SIGINT, signal.SIGTERM)
+"""Signals that end a node."""
+MANAGED = "--managed"
+"""Argument that makes a node wait for its lifecycle services to configure and activate it."""
+
+
+def run(
+    make_node: Callable[[bool], SuiteNode],
+    args: list[str] | None = None,
+    make_executor: Callable[[], Executor] = SingleThreadedExecutor,
+) -> int:
+    """Run one node until it is told to stop.
+
+    Parameters
+    ----------
+    make_node : callable
+        Makes the node, managed by its lifecycle services or not, as ``--managed`` among the
+        arguments says; a ConfigError is reported in one line.
+    args : list of str, optional
+        Command line with ROS arguments; ``sys.argv`` if left out.
+    make_executor : callable
+        Makes what calls the node back: `PROMPT` in the control loop.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after SIGINT, SIGTERM or the node's own end, 2 for bad input.
+    """
+    try:
+        # rclpy's own handlers close the context under a callback, and interrupt it.
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        reason = " ".join(str(error).partition(", at /")[0].split())
+        sys.stderr.write(f"error: {reason}\n")
+        return BAD_INPUT
+    node = None
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        managed = MANAGED in (sys.argv if args is None else args)
+        node = make_node(managed)
+        if not managed:
+            node.start()
+        # What start-up made lives as long as the process: no collection need look at it again.
+        gc.collect()
+        gc.freeze()
+        _spin(node, make_executor())
+    except KeyboardInterrupt:
+        pass
+    except ConfigError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return BAD_INPUT
+    except Exception as error:
+        # In the middle of a conversion in C, a KeyboardInterrupt is the cause of another error.
+        if not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
+    finally:
+        # A second Ctrl-C must not tear the teardown apart.
+        for stop in STOPS:
+            signal.signal(stop, signal.SIG_IGN)
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def _spin(node: SuiteNode, executor: Executor) -> None:
+    """Call a node back until it is over, or a signal comes; the callback in hand is finished."""
+
+    def stop(*_: object) -> None:
+        node.over = True
+
+    for name in STOPS:
+        signal.signal(name, stop)
+    executor.add_node(node)
+    while not node.over:
+        executor.spin_once(WAIT_S)

@@ -1,0 +1,129 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A node that is plain, or managed by lifecycle services."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+
+from gtmr_model import ConfigError
+
+
+class SuiteNode(LifecycleNode):
+    """The base of the suite's nodes: declares in the constructor, allocates, then connects.
+
+    A plain node does all three at once. A managed one allocates when it is configured and connects
+    when it is activated; while it is not active it hears nothing, and so publishes nothing.
+
+    Parameters
+    ----------
+    name : str
+        The node's name.
+    managed : bool
+        Whether lifecycle services say when to allocate and connect.
+    """
+
+    def __init__(self, name: str, managed: bool) -> None:
+        super().__init__(name, enable_communication_interface=managed)
+        self.connected = False
+        """Whether it takes part in the graph; only then need parameters be applied at once, as
+        connecting applies them too."""
+        self.over = False
+        """Whether it has done what it was started for, so that its process may end."""
+        self._kept: list[list[Any]] = []
+
+    def start(self) -> None:
+        """Do at once what lifecycle services else ask for.
+
+        Raises
+        ------
+        ConfigError
+            If a parameter cannot be used.
+        """
+        self.allocate()
+        self.connect()
+        self.connected = True
+
+    def allocate(self) -> None:
+        """Make what takes time or memory, and the publishers.
+
+        Raises
+        ------
+        ConfigError
+            If a parameter cannot be used.
+        """
+        raise NotImplementedError
+
+    def connect(self) -> None:
+        """Make the subscriptions, services, clients and timers."""
+        raise NotImplementedError
+
+    def release(self) -> None:
+        """Give back what was allocated; publishers go by themselves."""
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Allocate; a parameter that cannot be used leaves the node unconfigured."""
+        before = self._made()
+        try:
+            self.allocate()
+        except ConfigError as error:
+            self.get_logger().error(str(error))
+            self._destroy_all_but(before)
+            return TransitionCallbackReturn.FAILURE
+        self._kept.append(before)
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Connect."""
+        self._kept.append(self._made())
+        self.connect()
+        self.connected = True
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Disconnect."""
+        self.connected = False
+        self._destroy_all_but(self._kept.pop())
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Release."""
+        self.release()
+        self._destroy_all_but(self._kept.pop())
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Disconnect and release, from whatever state."""
+        self.connected = False
+        while self._kept:
+            if len(self._kept) == 1:
+                self.release()
+            self._destroy_all_but(self._kept.pop())
+        return TransitionCallbackReturn.SUCCESS
+
+    def _made(self) -> list[Any]:
+        """Everything that this node has in the graph now."""
+        kinds = (self.timers, self.subscriptions, self.services, self.clients, self.publishers)
+        return [entity for kind in kinds for entity in kind]
+
+    def _destroy_all_but(self, kept: list[Any]) -> None:
+        by_kind: list[tuple[Iterable[Any], Callable[[Any], Any]]] = [
+            (self.timers, self.destroy_timer),
+            (self.subscriptions, self.destroy_subscription),
+            (self.services, self.destroy_service),
+            (self.clients, self.destroy_client),
+            (self.publishers, self.destroy_publisher),
+        ]
+        for entities, destroy in by_kind:
+            for entity in list(entities):
+                if not any(entity is other for other in kept):
+                    destroy(entity)

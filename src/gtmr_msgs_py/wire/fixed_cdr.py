@@ -1,0 +1,126 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Messages of a fixed shape as bytes: those of the control loop differ in their numbers only.
+
+To make a message object field by field, turn it into bytes, and back at the other end, takes
+several times as long as a step of the controller. Here bytes are laid out once, and then only
+numbers are replaced.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gtmr_msgs_py.wire.stamps import NANOSECONDS
+
+CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+"""What stands in front of every message (DDSI-RTPS 2.5, section 10.2)."""
+STAMP = struct.Struct("<iI")
+"""builtin_interfaces/Time: seconds, nanoseconds."""
+FLOAT64 = np.dtype("<f8")
+"""Aligned to its size, counted from behind what stands in front."""
+
+
+class FixedCdr:
+    """The bytes of a message that begins with a header; write its fields in their order.
+
+    Parameters
+    ----------
+    frame_id : str
+        Of the header.
+    """
+
+    def __init__(self, frame_id: str = "") -> None:
+        self._bytes = bytearray(CDR_LITTLE_ENDIAN + bytes(STAMP.size))
+        self._numbers = np.empty(0, dtype=int)
+        self.string(frame_id)
+
+    def uint32(self, *values: int) -> None:
+        """Write integers, or lengths of sequences, that are the same in every message."""
+        self._align(4)
+        self._bytes += struct.pack(f"<{len(values)}I", *values)
+
+    def string(self, text: str) -> None:
+        """Write a string that is the same in every message."""
+        encoded = text.encode() + b"\x00"
+        self.uint32(len(encoded))
+        self._bytes += encoded
+
+    def strings(self, texts: list[str]) -> None:
+        """Write a sequence of strings that is the same in every message."""
+        self.uint32(len(texts))
+        for text in texts:
+            self.string(text)
+
+    def float64(self, count: int) -> None:
+        """Leave room for numbers; of a sequence, its length comes first, as a `uint32`."""
+        self._align(FLOAT64.itemsize)
+        first = (len(self._bytes) - len(CDR_LITTLE_ENDIAN)) // FLOAT64.itemsize
+        self._numbers = np.append(self._numbers, np.arange(first, first + count))
+        self._bytes += bytes(count * FLOAT64.itemsize)
+
+    def pack(self, stamp_ns: int, numbers: ArrayLike) -> bytes:
+        """Make a message.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            Of the header [ns].
+        numbers : array_like, shape (M,)
+            Every float64 of the message, in order.
+
+        Returns
+        -------
+        bytes
+            CDR, which a publisher takes in place of a message.
+        """
+        data = self._bytes.copy()
+        STAMP.pack_into(data, len(CDR_LITTLE_ENDIAN), *divmod(stamp_ns, NANOSECONDS))
+        _float64_of(data)[self._numbers] = numbers
+        return bytes(data)
+
+    def unpack(self, data: bytes) -> tuple[int, NDArray[np.float64]] | None:
+        """Read a message.
+
+        Parameters
+        ----------
+        data : bytes
+            CDR, as a raw subscription gets it.
+
+        Returns
+        -------
+        stamp_ns : int
+            Of the header [ns].
+        numbers : NDArray, shape (M,)
+            Every float64 of the message, in order.
+
+        Or None, if it differs from this message in anything else: then it has to be read as any
+        message has.
+        """
+        if len(data) != len(self._bytes):
+            return None
+        rest = bytearray(data)
+        float64 = _float64_of(rest)
+        numbers = float64[self._numbers]
+        float64[self._numbers] = 0.0
+        sec, nanosec = STAMP.unpack_from(rest, len(CDR_LITTLE_ENDIAN))
+        STAMP.pack_into(rest, len(CDR_LITTLE_ENDIAN), 0, 0)
+        return (sec * NANOSECONDS + nanosec, numbers) if rest == self._bytes else None
+
+    def _align(self, size: int) -> None:
+        self._bytes += bytes((len(CDR_LITTLE_ENDIAN) - len(self._bytes)) % size)
+
+
+def _float64_of(data: bytearray) -> NDArray[np.float64]:
+    """Everything behind what stands in front, seen as numbers."""
+    count = (len(data) - len(CDR_LITTLE_ENDIAN)) // FLOAT64.itemsize
+    return np.frombuffer(data, FLOAT64, count, offset=len(CDR_LITTLE_ENDIAN))

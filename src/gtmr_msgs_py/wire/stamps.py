@@ -1,0 +1,80 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Time in messages: whole nanoseconds, so that nothing drifts, and seconds for the equations."""
+
+from __future__ import annotations
+
+from builtin_interfaces.msg import Duration, Time
+
+NANOSECONDS = 1_000_000_000
+"""In a second."""
+
+
+def nanoseconds(time_s: float) -> int:
+    """Round seconds to whole nanoseconds.
+
+    Parameters
+    ----------
+    time_s : float
+        [s].
+
+    Returns
+    -------
+    int
+        [ns].
+    """
+    return round(time_s * NANOSECONDS)
+
+
+def seconds(time_ns: int) -> float:
+    """Give the float nearest to a number of nanoseconds.
+
+    Parameters
+    ----------
+    time_ns : int
+        [ns].
+
+    Returns
+    -------
+    float
+        [s].
+    """
+    return time_ns / NANOSECONDS
+
+
+def encode(time_ns: int) -> Time:
+    """Make a stamp.
+
+    Parameters
+    ----------
+    time_ns : int
+        [ns], not negative.
+
+    Returns
+    -------
+    builtin_interfaces.msg.Time
+    """
+    sec, nanosec = divmod(int(time_ns), NANOSECONDS)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def decode(stamp: Time | Duration) -> int:
+    """Read a stamp or a duration.
+
+    Parameters
+    ----------
+    stamp : builtin_interfaces.msg.Time or builtin_interfaces.msg.Duration
+        Part of a message.
+
+    Returns
+    -------
+    int
+        [ns].
+    """
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)

@@ -1,0 +1,283 @@
+// Copyright 2026 the gtmr authors
+// Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+// in compliance with the License. You may obtain a copy of the License at
+// http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+// writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+// WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+// language governing permissions and limitations under the License.
+
+/* The two phases of a step, and the warm start between steps. */
+#include <string.h>
+
+#include "combine.h"
+#include "workspace.h"
+
+enum {
+    PLAN_X = (STAGES + 1) * N_X,
+    PLAN_U = STAGES * N_U,
+    PLAN_CHANNELS = (STAGES + 1) * N_ZETA,
+    PLAN_LENGTH = PLAN_X + PLAN_U + PLAN_CHANNELS + 3 * (STAGES + 1)
+};
+
+/* Violations below these are rounding: of an input [Hz/s], a speed [Hz], the clearance [m]. */
+#define INPUT_ROUNDING 1e-9
+#define SPEED_ROUNDING 1e-10
+#define CLEARANCE_ROUNDING 1e-14
+/* Slack below this is rounding as well [m]. */
+#define SLACK_ROUNDING 1e-9
+/* By how much a solution may break the limits of rotors: Hz/s, Hz. */
+#define LIMIT_TOLERANCE 1e-6
+
+size_t gtmr_size(void)
+{
+    return sizeof(struct gtmr_controller);
+}
+
+size_t gtmr_plan_length(void)
+{
+    return PLAN_LENGTH;
+}
+
+gtmr_controller *gtmr_create(void *memory, const gtmr_parameters *parameters)
+{
+    gtmr_controller *c = memory;
+    memset(c, 0, sizeof *c);
+    c->parameters = *parameters;
+    for (int i = 0; i < STAGES; ++i) {
+        for (int j = 0; j < 3; ++j) {
+            c->intervals[i].jacobian[j][j] = 1.0;
+        }
+    }
+    return c;
+}
+
+void gtmr_reconfigure(gtmr_controller *c, const gtmr_parameters *parameters)
+{
+    c->parameters = *parameters;
+}
+
+void gtmr_cold(gtmr_controller *c, const double *x)
+{
+    for (int i = 0; i <= STAGES; ++i) {
+        memcpy(c->x[i], x, sizeof c->x[i]);
+    }
+    memset(c->u, 0, sizeof c->u);
+    memset(c->multiplier, 0, sizeof c->multiplier);
+}
+
+/* One stage of the nominal model with the rotors holding their speeds. */
+static void coast(gtmr_controller *c, const double *x, double *next)
+{
+    for (int j = 0; j < N_X; ++j) {
+        c->lanes_in[j] = vec_of(x[j]);
+    }
+    for (int j = 0; j < N_U; ++j) {
+        c->lanes_in[N_X + j] = vec_of(0.0);
+    }
+    model_linearise(c->lanes_in, c->lanes_out);
+    memcpy(next, x, N_X * sizeof(double));
+    for (int j = 0; j < BODY; ++j) {
+        next[j] = *(const double *)(c->lanes_out + j);
+    }
+}
+
+void gtmr_warm(gtmr_controller *c, int steps)
+{
+    const plan *last = &c->last;
+    const int kept = STAGES - steps;
+    memcpy(c->x, last->x[steps], (kept + 1) * sizeof c->x[0]);
+    memcpy(c->u, last->u[steps], kept * sizeof c->u[0]);
+    memcpy(c->multiplier, last->multiplier + steps * STAGE_ROWS,
+           kept * STAGE_ROWS * sizeof(double));
+    memset(c->u[kept], 0, steps * sizeof c->u[0]);
+    memset(c->multiplier + kept * STAGE_ROWS, 0, steps * STAGE_ROWS * sizeof(double));
+    for (int i = kept; i < STAGES; ++i) {
+        coast(c, c->x[i], c->x[i + 1]);
+    }
+}
+
+void gtmr_prepare(gtmr_controller *c, double t, double margin_scale)
+{
+    c->margin_scale = margin_scale;
+    linearise(c, t);
+    clearance_along_iterate(c);
+    riccati_factorise(c);
+}
+
+/* Bounds of a rotor's input and next speed; `start` is its measured speed. */
+static void bound_rotor(gtmr_controller *c, int stage, int rotor, double start)
+{
+    const gtmr_parameters *given = &c->parameters;
+    const int input = row_of(stage, rotor), speed = row_of(stage, N_U + rotor);
+    const double limit = given->max_rotor_acceleration_hz_s;
+    const double reach = limit * PERIOD_S * (stage + 1);
+    c->lower[input] = -limit;
+    c->upper[input] = limit;
+    c->lower[speed] = given->min_rotor_speed_hz;
+    c->upper[speed] = given->max_rotor_speed_hz;
+    /* A rotor that starts outside its limits returns as fast as it can: all that its speed bound,
+     * relaxed to what is reachable, would leave. */
+    if (start + reach <= given->min_rotor_speed_hz) {
+        c->lower[input] = limit;
+        c->lower[speed] = -HUGE_VAL;
+    }
+    if (start - reach >= given->max_rotor_speed_hz) {
+        c->upper[input] = -limit;
+        c->upper[speed] = HUGE_VAL;
+    }
+}
+
+static int outside(const gtmr_controller *c, int row, double tolerance)
+{
+    /* Written so that a value that is no number counts as outside. */
+    return !(c->value[row] <= c->upper[row] + tolerance &&
+             c->value[row] >= c->lower[row] - tolerance);
+}
+
+/* Values of all inequalities after the step of v = 0, and their bounds; whether any is broken. */
+static int inequalities(gtmr_controller *c, const double *x)
+{
+    double change[STAGES + 1] = {0.0};
+    int broken = 0;
+    if (with_margin_gradient(c)) {
+        margin_change_along_step(c, change);
+    }
+    for (int i = 0; i < STAGES; ++i) {
+        for (int r = 0; r < N_U; ++r) {
+            const int input = row_of(i, r), speed = row_of(i, N_U + r);
+            bound_rotor(c, i, r, x[BODY + r]);
+            c->value[input] = c->u[i][r] + c->step[i][N_X + r];
+            c->value[speed] = c->x[i + 1][BODY + r] + c->step[i + 1][BODY + r];
+            broken |= outside(c, input, INPUT_ROUNDING) | outside(c, speed, SPEED_ROUNDING);
+        }
+        const clearance *y = &c->clearances[i + 1];
+        const double *dp = c->step[i + 1];
+        const int row = row_of(i, CLEARANCE);
+        c->lower[row] = -HUGE_VAL;
+        c->upper[row] = 0.0;
+        c->value[row] =
+            y->residual + y->gradient[0] * dp[0] + y->gradient[1] * dp[1] + change[i + 1];
+        broken |= outside(c, row, CLEARANCE_ROUNDING);
+    }
+    return broken;
+}
+
+/* Stage 0 is measured, not planned: its violation is a fact and no variable of the QP. */
+static double measured_slack(const gtmr_controller *c, const double *x)
+{
+    const double distance = sqrt(x[0] * x[0] + x[1] * x[1]) - c->parameters.tower_radius_m;
+    const clearance *now = &c->clearances[0];
+    const double residual =
+        c->parameters.min_clearance_m - distance + now->alpha_p + now->alpha_g;
+    return residual > 0.0 ? residual : 0.0;
+}
+
+static double planned_slack(const gtmr_controller *c, int row)
+{
+    const double slack = c->value[row] + dot(c->rows[row], c->v, row_length(row));
+    return slack > SLACK_ROUNDING ? slack : 0.0;
+}
+
+static void write_plan(const gtmr_controller *c, const double *slack, double *to)
+{
+    memcpy(to, c->last.x, sizeof c->last.x);
+    memcpy(to += PLAN_X, c->last.u, sizeof c->last.u);
+    to += PLAN_U;
+    double *alpha_p = to + PLAN_CHANNELS, *alpha_g = alpha_p + STAGES + 1;
+    for (int i = 0; i <= STAGES; ++i) {
+        const clearance *y = &c->clearances[i];
+        memcpy(to + i * N_ZETA, y->by_channel, sizeof y->by_channel);
+        alpha_p[i] = y->alpha_p;
+        alpha_g[i] = y->alpha_g;
+    }
+    memcpy(alpha_g + STAGES + 1, slack, (STAGES + 1) * sizeof(double));
+}
+
+static void take_step(gtmr_controller *c)
+{
+    for (int i = 0; i <= STAGES; ++i) {
+        for (int j = 0; j < N_X; ++j) {
+            c->last.x[i][j] = c->x[i][j] + c->step[i][j];
+        }
+        for (int j = 0; i < STAGES && j < N_U; ++j) {
+            c->last.u[i][j] = c->u[i][j] + c->step[i][N_X + j];
+        }
+    }
+}
+
+static int is_finite_step(const gtmr_controller *c)
+{
+    double total = 0.0;
+    for (int i = 0; i <= STAGES; ++i) {
+        for (int j = 0; j < N_XU; ++j) {
+            total += c->step[i][j];
+        }
+    }
+    return isfinite(total);
+}
+
+static void stay(gtmr_controller *c)
+{
+    memcpy(c->last.x, c->x, sizeof c->x);
+    memcpy(c->last.u, c->u, sizeof c->u);
+}
+
+/* Rotor limits are hard: a step that breaks them is no solution, whatever the solver thinks. */
+static int breaks_rotor_limits(const gtmr_controller *c)
+{
+    int broken = 0;
+    for (int i = 0; i < STAGES; ++i) {
+        for (int r = 0; r < N_U; ++r) {
+            const int input = row_of(i, r), speed = row_of(i, N_U + r);
+            const double u = c->u[i][r] + c->step[i][N_X + r];
+            const double xi = c->x[i + 1][BODY + r] + c->step[i + 1][BODY + r];
+            broken |= !(u <= c->upper[input] + LIMIT_TOLERANCE &&
+                        u >= c->lower[input] - LIMIT_TOLERANCE &&
+                        xi <= c->upper[speed] + LIMIT_TOLERANCE &&
+                        xi >= c->lower[speed] - LIMIT_TOLERANCE);
+        }
+    }
+    return broken;
+}
+
+/* The QP with its inequalities. */
+static gtmr_status constrained_step(gtmr_controller *c, const double *dx0, double *slack)
+{
+    gtmr_status status = GTMR_SOLVED;
+    condense(c);
+    if (active_set_solve(c) != 0) {
+        return GTMR_FAILED;
+    }
+    riccati_rollout(c, dx0, c->v);
+    if (breaks_rotor_limits(c)) {
+        return GTMR_FAILED;
+    }
+    for (int i = 0; i < STAGES; ++i) {
+        slack[i + 1] = planned_slack(c, row_of(i, CLEARANCE));
+        status = slack[i + 1] > 0.0 ? GTMR_SOFTENED : status;
+    }
+    return status;
+}
+
+gtmr_status gtmr_feedback(gtmr_controller *c, const double *x, double *to)
+{
+    double dx0[N_X], slack[STAGES + 1] = {0.0};
+    gtmr_status status = GTMR_SOLVED;
+    for (int j = 0; j < N_X; ++j) {
+        dx0[j] = x[j] - c->x[0][j];
+    }
+    memset(c->last.multiplier, 0, sizeof c->last.multiplier);
+    riccati_rollout(c, dx0, NULL);
+    if (inequalities(c, x)) {
+        status = constrained_step(c, dx0, slack);
+    }
+    if (status == GTMR_FAILED || !is_finite_step(c)) {
+        status = GTMR_FAILED;
+        stay(c);
+    } else {
+        take_step(c);
+    }
+    slack[0] = measured_slack(c, x);
+    write_plan(c, slack, to);
+    return status;
+}

@@ -1,0 +1,87 @@
+// Copyright 2026 the gtmr authors
+// Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+// in compliance with the License. You may obtain a copy of the License at
+// http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+// writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+// WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+// language governing permissions and limitations under the License.
+
+/*
+ * The controller of one problem: nominal or robust NMPC in real-time iteration.
+ *
+ * No heap, no globals: all memory is one block that the caller owns, so several controllers run
+ * side by side, one thread each. Units as in the paper: m, rad, m/s, rad/s, rotor speeds in Hz.
+ */
+#ifndef GTMR_H
+#define GTMR_H
+
+#include <stddef.h>
+
+/* What may change without compiling again; the vehicle, T_s and N may not. */
+typedef struct {
+    /* The tower and the helix round it. */
+    double tower_radius_m;
+    double min_clearance_m;
+    double helix_radius_m;
+    double helix_speed_m_s;
+    double helix_climb_m_s;
+    double helix_start_height_m;
+    double helix_start_angle_rad;
+    /* Rotor limits. */
+    double min_rotor_speed_hz;
+    double max_rotor_speed_hz;
+    double max_rotor_acceleration_hz_s;
+    /* Diagonals of Q, Q_u and Q_f, eq. (6); Q in the order p, v, acceleration, eta, omega. */
+    double stage_weights[15];
+    double input_weight;
+    double terminal_weights[3];
+    /* Margins: half-widths of the box of zeta, eps_s, and alpha_g,N / N^2 of eq. (13). */
+    double half_widths[9];
+    double eps_s_m;
+    double gust_m;
+    /* Penalty l1 s + l2 s^2 on the slack of the clearance. */
+    double slack_l1;
+    double slack_l2;
+    /* Whether alpha_p enters the QP with its gradient: 0 or 1. */
+    double with_margin_gradient;
+} gtmr_parameters;
+
+typedef enum { GTMR_SOLVED = 0, GTMR_SOFTENED = 1, GTMR_FAILED = 2 } gtmr_status;
+
+typedef struct gtmr_controller gtmr_controller;
+
+/* Bytes of the memory of a controller, to be aligned to 64. */
+size_t gtmr_size(void);
+
+/* Entries of a plan, as gtmr_feedback writes it. */
+size_t gtmr_plan_length(void);
+
+/* Make a controller in zeroed or used memory. */
+gtmr_controller *gtmr_create(void *memory, const gtmr_parameters *parameters);
+
+/* Take over other parameters; the warm start is kept. */
+void gtmr_reconfigure(gtmr_controller *controller, const gtmr_parameters *parameters);
+
+/* Make the iterate from a state held over the whole horizon. */
+void gtmr_cold(gtmr_controller *controller, const double *x);
+
+/* Make the iterate from the last plan, moved on by whole sampling times, the rotors then holding
+ * their speeds. */
+void gtmr_warm(gtmr_controller *controller, int steps);
+
+/*
+ * Linearise along the iterate for time t and factorise: all that needs no measurement.
+ *
+ * margin_scale: 1 in robust mode, 0 in nominal mode, in between after a switch.
+ */
+void gtmr_prepare(gtmr_controller *controller, double t, double margin_scale);
+
+/*
+ * Plan from the measured state, its yaw within pi of the iterate's.
+ *
+ * plan: x (N+1, 12+N_p), u (N, N_p), terms of alpha_p (N+1, 9), alpha_p (N+1), alpha_g (N+1),
+ * slack (N+1), one after the other.
+ */
+gtmr_status gtmr_feedback(gtmr_controller *controller, const double *x, double *plan);
+
+#endif

@@ -1,0 +1,197 @@
+// Copyright 2026 the gtmr authors
+// Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+// in compliance with the License. You may obtain a copy of the License at
+// http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+// writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+// WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+// language governing permissions and limitations under the License.
+
+/* The clearance constraint along the iterate and its tightening: eq. (8), (9), (12), (13). */
+#include <string.h>
+
+#include "combine.h"
+#include "workspace.h"
+
+static void propagate_sensitivities(gtmr_controller *c)
+{
+    memset(c->Pi[0], 0, sizeof c->Pi[0]);
+    for (int i = 0; i < STAGES; ++i) {
+        const interval *at = &c->intervals[i];
+        memcpy(c->Pi[i + 1], at->dF_dzeta, sizeof c->Pi[0]);
+        const coefficients A = {at->jacobian[0], LD_XU, 1};
+        combine(BODY, LD_ZETA, BODY, A, c->Pi[i][0], LD_ZETA, c->Pi[i + 1][0], LD_ZETA);
+    }
+}
+
+static double sign(double a)
+{
+    return (double)((a > 0.0) - (a < 0.0));
+}
+
+void clearance_along_iterate(gtmr_controller *c)
+{
+    const gtmr_parameters *given = &c->parameters;
+    if (is_robust(c)) {
+        propagate_sensitivities(c);
+    }
+    for (int i = 0; i <= STAGES; ++i) {
+        clearance *y = &c->clearances[i];
+        const double *p = c->x[i];
+        y->rho = sqrt(p[0] * p[0] + p[1] * p[1]);
+        y->gradient[0] = -p[0] / y->rho;
+        y->gradient[1] = -p[1] / y->rho;
+        y->alpha_p = c->margin_scale * given->eps_s_m;
+        y->alpha_g = c->margin_scale * given->gust_m * i * i;
+        for (int j = 0; j < N_ZETA; ++j) {
+            double Pi_y = 0.0;
+            if (is_robust(c)) {
+                Pi_y = y->gradient[0] * c->Pi[i][0][j] + y->gradient[1] * c->Pi[i][1][j];
+            }
+            y->signs[j] = c->margin_scale * sign(Pi_y) * given->half_widths[j];
+            y->by_channel[j] = Pi_y * y->signs[j];
+            y->alpha_p += y->by_channel[j];
+        }
+        const double distance = y->rho - given->tower_radius_m;
+        y->residual = given->min_clearance_m - distance + y->alpha_p + y->alpha_g;
+    }
+}
+
+/* Pi s: how the state moves when zeta goes to its worst vertex. */
+static void worst_direction(const gtmr_controller *c, int stage, const double *signs,
+                            double *direction)
+{
+    for (int r = 0; r < BODY; ++r) {
+        direction[r] = 0.0;
+        for (int j = 0; j < N_ZETA; ++j) {
+            direction[r] += c->Pi[stage][r][j] * signs[j];
+        }
+    }
+}
+
+/* d(J_yx direction)/dp: the clearance's gradient turns as the vehicle goes round the tower. */
+static void curvature(const clearance *y, const double *direction, double *of)
+{
+    const double along = y->gradient[0] * direction[0] + y->gradient[1] * direction[1];
+    of[0] = -(direction[0] - along * y->gradient[0]) / y->rho;
+    of[1] = -(direction[1] - along * y->gradient[1]) / y->rho;
+}
+
+static void put(vec *lanes, int which, const double *from, int count)
+{
+    for (int j = 0; j < count; ++j) {
+        ((double *)(lanes + j))[which] = from[j];
+    }
+}
+
+static void get(const vec *lanes, int which, double *to, int count)
+{
+    for (int j = 0; j < count; ++j) {
+        to[j] = ((const double *)(lanes + j))[which];
+    }
+}
+
+static int smaller(int a, int b)
+{
+    return a < b ? a : b;
+}
+
+/* Second derivatives of F, for intervals 0..last-1, along Pi s and the step. */
+static void bending(gtmr_controller *c, const double *signs, int last, double to[][BODY])
+{
+    for (int first = 0; first < last; first += VEC) {
+        for (int which = 0; which < VEC; ++which) {
+            const int k = smaller(first + which, last - 1);
+            double direction[BODY];
+            worst_direction(c, k, signs, direction);
+            vec *in = c->lanes_in;
+            put(in, which, c->x[k], N_X);
+            put(in += N_X, which, c->u[k], N_U);
+            put(in += N_U, which, direction, BODY);
+            put(in += BODY, which, signs, N_ZETA);
+            put(in + N_ZETA, which, c->step[k], N_XU);
+        }
+        model_bending(c->lanes_in, c->lanes_out);
+        for (int which = 0; which < smaller(VEC, last - first); ++which) {
+            get(c->lanes_out, which, to[first + which], BODY);
+        }
+    }
+}
+
+/* Change of J_yx Pi s along the step, for every stage whose signs are those of `like`. */
+static void change_with_signs(gtmr_controller *c, int like, int last, double *change)
+{
+    const double *signs = c->clearances[like].signs;
+    double bent[STAGES][BODY], turned[LD_XU] = {0.0};
+    bending(c, signs, last, bent);
+    for (int i = 1; i <= last; ++i) {
+        const clearance *y = &c->clearances[i];
+        double next[LD_XU] = {0.0}, direction[BODY], turn[2];
+        for (int r = 0; r < BODY; ++r) {
+            next[r] = bent[i - 1][r] + dot(c->intervals[i - 1].jacobian[r], turned, LD_XU);
+        }
+        memcpy(turned, next, sizeof turned);
+        if (memcmp(y->signs, signs, sizeof y->signs) == 0) {
+            worst_direction(c, i, signs, direction);
+            curvature(y, direction, turn);
+            change[i] = y->gradient[0] * turned[0] + y->gradient[1] * turned[1] +
+                        turn[0] * c->step[i][0] + turn[1] * c->step[i][1];
+        }
+    }
+}
+
+void margin_change_along_step(gtmr_controller *c, double *change)
+{
+    int done[STAGES + 1] = {0};
+    for (int i = 1; i <= STAGES; ++i) {
+        int last = i;
+        for (int j = i; !done[i] && j <= STAGES; ++j) {
+            if (memcmp(c->clearances[j].signs, c->clearances[i].signs,
+                       sizeof c->clearances[j].signs) == 0) {
+                last = j;
+                done[j] = j > i;
+            }
+        }
+        if (!done[i]) {
+            change_with_signs(c, i, last, change);
+        }
+    }
+}
+
+/* J_yx of a stage carried back to the end of every interval before it. */
+static void costates(const gtmr_controller *c, int stage, double lambda[][LD_XU])
+{
+    memset(lambda[stage - 1], 0, sizeof lambda[0]);
+    memcpy(lambda[stage - 1], c->clearances[stage].gradient, 2 * sizeof(double));
+    for (int k = stage - 2; k >= 0; --k) {
+        memset(lambda[k], 0, sizeof lambda[0]);
+        const coefficients later = {lambda[k + 1], 0, 1};
+        combine(1, LD_XU, BODY, later, c->intervals[k + 1].jacobian[0], LD_XU, lambda[k], LD_XU);
+    }
+}
+
+void margin_gradient(gtmr_controller *c, int stage, double d_x[][N_X], double d_u[][N_U])
+{
+    const clearance *y = &c->clearances[stage];
+    double lambda[STAGES][LD_XU], direction[BODY];
+    costates(c, stage, lambda);
+    for (int first = 0; first < stage; first += VEC) {
+        for (int which = 0; which < VEC; ++which) {
+            const int k = smaller(first + which, stage - 1);
+            worst_direction(c, k, y->signs, direction);
+            vec *in = c->lanes_in;
+            put(in, which, c->x[k], N_X);
+            put(in += N_X, which, c->u[k], N_U);
+            put(in += N_U, which, lambda[k], BODY);
+            put(in += BODY, which, direction, BODY);
+            put(in + BODY, which, y->signs, N_ZETA);
+        }
+        model_adjoint(c->lanes_in, c->lanes_out);
+        for (int which = 0; which < smaller(VEC, stage - first); ++which) {
+            get(c->lanes_out, which, d_x[first + which], N_X);
+            get(c->lanes_out + N_X, which, d_u[first + which], N_U);
+        }
+    }
+    memset(d_x[stage], 0, sizeof d_x[stage]);
+    worst_direction(c, stage, y->signs, direction);
+    curvature(y, direction, d_x[stage]);
+}

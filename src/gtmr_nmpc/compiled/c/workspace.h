@@ -1,0 +1,181 @@
+// Copyright 2026 the gtmr authors
+// Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+// in compliance with the License. You may obtain a copy of the License at
+// http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+// writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+// WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+// language governing permissions and limitations under the License.
+
+/* The memory of a controller, and its parts that share it. */
+#ifndef GTMR_WORKSPACE_H
+#define GTMR_WORKSPACE_H
+
+#include "gtmr.h"
+#include "problem.h"
+#include "vec.h"
+
+enum {
+    BODY = 12,        /* p, eta, v, omega: the states with dynamics of their own */
+    N_U = ROTORS,     /* inputs */
+    N_X = BODY + N_U, /* states; the last N_U integrate the inputs */
+    N_XU = N_X + N_U,
+    N_H = 15, /* outputs that the cost weighs */
+    N_ZETA = 9,
+    N_V = STAGES * N_U, /* all inputs of the horizon */
+    LD_X = PADDED(N_X),
+    LD_XU = PADDED(N_XU),
+    LD_ZETA = PADDED(N_ZETA),
+    LD_V = PADDED(N_V),
+    /* Rows of inequalities per stage: inputs, then rotor speeds and clearance one stage on. */
+    STAGE_ROWS = 2 * N_U + 1,
+    CLEARANCE = 2 * N_U,
+    N_ROWS = STAGES * STAGE_ROWS,
+    /* Independent rows at most, plus one soft row a stage, plus the row about to enter. */
+    MAX_ACTIVE = N_V + STAGES + 1,
+    LD_ACTIVE = PADDED(MAX_ACTIVE + 3) /* whole registers, and whole tiles of four */
+};
+
+/* One shooting interval: its linearisation and its part of the Riccati factorisation. */
+typedef struct {
+    double jacobian[N_H][LD_XU]; /* [A B], rows of the body, then of the acceleration */
+    double dF_dzeta[BODY][LD_ZETA];
+    double defect[N_X];
+    double acceleration[3];
+    double gain[N_U][LD_X];       /* K: du = K dx + k + C' v */
+    double offset[N_U];           /* k */
+    double whitening[N_U][N_U];   /* C = L^-1, with L L' the Hessian of du */
+} interval;
+
+/* The clearance constraint at a stage. */
+typedef struct {
+    double gradient[2]; /* of y with respect to x and y of the position, J_yx */
+    double rho;         /* distance from the tower's axis [m] */
+    double residual;    /* y + alpha along the iterate [m] */
+    double alpha_p;
+    double alpha_g;
+    double by_channel[N_ZETA];
+    double signs[N_ZETA]; /* sign(Pi_y) w_bar, held while alpha_p is differentiated */
+} clearance;
+
+/* An inequality that holds with equality, scaled to norm 1. */
+typedef struct {
+    int row;
+    int soft;      /* whether its multiplier is above the cap: a slack is open */
+    double side;   /* +1 at the upper bound, -1 at the lower */
+    double scale;  /* 1 / norm of the row */
+    double cap;    /* multiplier above which a slack opens, infinite if never */
+    double lambda; /* multiplier, not negative */
+    double excess; /* of its value over its bound, less what its slack takes up */
+} active_row;
+
+/*
+ * The working set and the Cholesky factor of the Gram matrix of its rows, column by column; above
+ * the diagonal are zeros, so that every column can be taken from the start of a register.
+ */
+typedef struct {
+    int count;
+    int settled; /* so many rows, from the first on, hold with equality */
+    active_row member[MAX_ACTIVE];
+    double factor[MAX_ACTIVE][LD_ACTIVE];
+    double inverse_diagonal[MAX_ACTIVE];
+} working_set;
+
+/* A solution, kept to start the next step from. */
+typedef struct {
+    double x[STAGES + 1][N_X];
+    double u[STAGES][N_U];
+    double multiplier[N_ROWS]; /* of the inequalities, negative at a lower bound */
+} plan;
+
+struct gtmr_controller {
+    gtmr_parameters parameters;
+    double margin_scale;
+    plan last;               /* what the last step returned */
+    double x[STAGES + 1][N_X]; /* the iterate */
+    double u[STAGES][N_U];
+    double multiplier[N_ROWS]; /* where the active set starts from */
+    interval intervals[STAGES];
+    clearance clearances[STAGES + 1];
+    double Pi[STAGES + 1][BODY][LD_ZETA]; /* eq. (8); rotor speeds do not depend on zeta */
+    double cost_gradient[STAGES + 1][N_X];
+    double step[STAGES + 1][LD_XU]; /* [dx du], the step of the iterate */
+
+    /* The QP in v, where its cost is |v|^2 / 2: rows, values at v = 0 and bounds. */
+    double rows[N_ROWS][LD_V];
+    double inverse_norm[N_ROWS];
+    double value[N_ROWS];
+    double lower[N_ROWS];
+    double upper[N_ROWS];
+    double v[LD_V];
+    int in_set[N_ROWS];
+    working_set active;
+
+    vec lanes_in[MODEL_LANES_IN];
+    vec lanes_out[MODEL_LANES_OUT];
+};
+
+/* helix.c: the reference of the cost's outputs at time t. */
+void helix_reference(const gtmr_parameters *parameters, double t, double *reference);
+
+/* linearise.c */
+void linearise(gtmr_controller *c, double t);
+
+/* margins.c */
+void clearance_along_iterate(gtmr_controller *c);
+void margin_change_along_step(gtmr_controller *c, double *change);
+void margin_gradient(gtmr_controller *c, int stage, double d_x[][N_X], double d_u[][N_U]);
+
+/* riccati.c */
+void riccati_factorise(gtmr_controller *c);
+void riccati_rollout(gtmr_controller *c, const double *dx0, const double *v);
+
+/* condense.c: the rows of the inequalities in v. */
+void condense(gtmr_controller *c);
+
+/* working_set.c */
+
+/* What a soft row adds to the diagonal of the Gram matrix: slack per multiplier. */
+double compliance(const gtmr_controller *c, const active_row *a);
+
+/*
+ * Extend the factor by a row; 0 if it depends on the others, or may, and is not `needed`. w gets
+ * L^-1 times its Gram row if it is needed.
+ */
+int working_set_append(gtmr_controller *c, const active_row *row, int needed, double *w);
+active_row working_set_remove(gtmr_controller *c, int at);
+
+/* Products of the set's rows, scaled and on their sides, with v, of which `length` count. */
+void working_set_along(const gtmr_controller *c, const double *v, int length, double *out);
+
+/* Add a combination of the set's rows, scaled and on their sides. */
+void working_set_combine(const gtmr_controller *c, const double *by, double *v);
+
+/* Solve L y = y and L' y = y for the factor L; what is behind the end of y is overwritten. */
+void working_set_forward(const working_set *set, double *y);
+void working_set_backward(const working_set *set, double *y);
+
+/* active_set.c: 0 if solved. */
+int active_set_solve(gtmr_controller *c);
+
+static inline int is_robust(const gtmr_controller *c)
+{
+    return c->margin_scale > 0.0;
+}
+
+static inline int with_margin_gradient(const gtmr_controller *c)
+{
+    return is_robust(c) && c->parameters.with_margin_gradient != 0.0;
+}
+
+static inline int row_of(int stage, int which)
+{
+    return stage * STAGE_ROWS + which;
+}
+
+/* Entries of a row of interval k that may differ from zero, filled up to registers. */
+static inline int row_length(int row)
+{
+    return PADDED((row / STAGE_ROWS + 1) * N_U);
+}
+
+#endif

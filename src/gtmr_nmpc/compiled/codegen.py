@@ -1,0 +1,166 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The C sources of one problem: its dimensions and model, generated; the rest as written."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+import casadi as ca
+
+from gtmr_codegen.c_source import c_function
+from gtmr_model import N_ZETA
+from gtmr_model.dynamics import ROTORS
+from gtmr_nmpc import ocp, sensitivity
+from gtmr_nmpc.config import ControllerConfig
+
+BODY = slice(0, ROTORS.start)
+"""The states with dynamics of their own in x; the rotor speeds integrate the inputs."""
+GENERATED_FLAGS = ("-O2", "-ffp-contract=fast", "-Wno-unused-variable")
+"""Straight-line code: -O3 finds nothing more in it, and takes longer."""
+WRITTEN_FLAGS = ("-O3", "-ffp-contract=fast")
+
+
+def c_sources(config: ControllerConfig) -> dict[str, str]:
+    """All sources of the controller of a problem.
+
+    They depend on the vehicle's dynamics, T_s and N alone; all else is in ``gtmr_parameters``.
+
+    Parameters
+    ----------
+    config : ControllerConfig
+        The problem.
+
+    Returns
+    -------
+    dict of str to str
+        Contents by file name.
+    """
+    folder = files("gtmr_nmpc.compiled") / "c"
+    written = {
+        entry.name: entry.read_text(encoding="utf-8")
+        for entry in folder.iterdir()
+        if entry.name.endswith((".c", ".h"))
+    }
+    return written | _model(config)
+
+
+def flags(sources: dict[str, str]) -> dict[str, tuple[str, ...]]:
+    """Compiler flags of each ``.c`` file.
+
+    Parameters
+    ----------
+    sources : dict of str to str
+        From `c_sources`.
+
+    Returns
+    -------
+    dict of str to tuple of str
+    """
+    return {
+        name: GENERATED_FLAGS if name.startswith("model_") else WRITTEN_FLAGS
+        for name in sources
+        if name.endswith(".c")
+    }
+
+
+def _model(config: ControllerConfig) -> dict[str, str]:
+    linearise, jacobian, dF_dzeta = _linearise(config)
+    functions = [linearise, _bending(config), _adjoint(config)]
+    sources = {
+        f"{function.name()}.c": (
+            f'/* Generated. */\n#include "problem.h"\n\n{c_function(function, "vec")}'
+        )
+        for function in functions
+    }
+    lanes_in = max(sum(f.nnz_in(i) for i in range(f.n_in())) for f in functions)
+    lanes_out = max(sum(f.nnz_out(i) for i in range(f.n_out())) for f in functions)
+    prototypes = "\n".join(
+        f"void {f.name()}(const vec *restrict in, vec *restrict out);" for f in functions
+    )
+    sources["problem.h"] = f"""\
+/* Generated: dimensions and model of one problem. */
+#ifndef GTMR_PROBLEM_H
+#define GTMR_PROBLEM_H
+
+#include "vec.h"
+
+#define STAGES {config.horizon}
+#define ROTORS {config.vehicle.n_rotors}
+#define PERIOD_S {config.sampling_time_s!r}
+#define MODEL_LANES_IN {lanes_in}
+#define MODEL_LANES_OUT {lanes_out}
+
+/* (x, u) -> F without rotors, acceleration, their Jacobian in (x, u), dF/dzeta; one interval a
+ * lane, nonzeros only. (x, u, Pi s, s, dx, du) -> second derivative of F along both directions.
+ * (x, u, lambda, Pi s, s) -> gradient of lambda' (dF/dx Pi s + dF/dzeta s) in (x, u). */
+{prototypes}
+
+/* Where the nonzeros go, in rows of ld entries. */
+#define JACOBIAN_NONZEROS {jacobian.nnz()}
+#define JACOBIAN_PLACES(ld) {_places(jacobian)}
+#define DF_DZETA_NONZEROS {dF_dzeta.nnz()}
+#define DF_DZETA_PLACES(ld) {_places(dF_dzeta)}
+
+#endif
+"""
+    return sources
+
+
+def _places(sparsity: ca.Sparsity) -> str:
+    rows, columns = sparsity.get_triplet()
+    return ", ".join(f"{r} * (ld) + {c}" for r, c in zip(rows, columns, strict=True))
+
+
+def _linearise(config: ControllerConfig) -> tuple[ca.Function, ca.Sparsity, ca.Sparsity]:
+    """Write F, acceleration and their sparse Jacobians, and the latters' patterns.
+
+    Positions pass through F unchanged, so that their columns are left out.
+    """
+    x, u, zeta, x_next = _dynamics(config)
+    acceleration = ocp.output_map(config)(x)[6:9]
+    both = ca.vertcat(x_next, acceleration)
+    free = ca.vertcat(x[3:], u)
+    jacobian, dF_dzeta = ca.jacobian(both, free), ca.jacobian(x_next, zeta)
+    results = _at_nominal([x_next, acceleration, jacobian, dF_dzeta], zeta)
+    placed = ca.horzcat(ca.SX(both.numel(), 3), results[2]).sparsity()
+    function = ca.Function("model_linearise", [x, u], ca.cse(results))
+    return function, placed, results[3].sparsity()
+
+
+def _bending(config: ControllerConfig) -> ca.Function:
+    """(x, u, Pi s, s, dx, du) -> d/d(x, u) (dF/dx Pi s + dF/dzeta s) (dx, du)."""
+    x, u, zeta, x_next = _dynamics(config)
+    pi, s = ca.SX.sym("pi", x_next.numel()), ca.SX.sym("s", N_ZETA)
+    dx, du = ca.SX.sym("dx", x.numel()), ca.SX.sym("du", u.numel())
+    rotors = ca.DM.zeros(u.numel())
+    worst = ca.jtimes(x_next, ca.vertcat(x, zeta), ca.vertcat(pi, rotors, s))
+    bent = ca.jtimes(worst, ca.vertcat(x, u), ca.vertcat(dx, du))
+    results = [ca.densify(r) for r in _at_nominal([bent], zeta)]
+    return ca.Function("model_bending", [x, u, pi, s, dx, du], ca.cse(results))
+
+
+def _adjoint(config: ControllerConfig) -> ca.Function:
+    """Second-order adjoint without the rotor speeds, which neither lambda nor Pi reaches."""
+    adjoint = sensitivity.second_order_adjoint(ocp.discrete_dynamics(config))
+    x, u = ca.SX.sym("x", adjoint.size1_in(0)), ca.SX.sym("u", adjoint.size1_in(1))
+    lam, pi, s = (ca.SX.sym(n, k) for n, k in (("lambda", 12), ("pi", 12), ("s", N_ZETA)))
+    rotors = ca.DM.zeros(u.numel())
+    gradient = adjoint(x, u, ca.vertcat(lam, rotors), ca.vertcat(pi, rotors), s)
+    return ca.Function("model_adjoint", [x, u, lam, pi, s], ca.cse([ca.densify(gradient)]))
+
+
+def _dynamics(config: ControllerConfig) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    dynamics = ocp.discrete_dynamics(config)
+    x, u, zeta = (ca.SX.sym(name, dynamics.size1_in(name)) for name in ("x", "u", "zeta"))
+    return x, u, zeta, dynamics(x, u, zeta)[BODY]
+
+
+def _at_nominal(expressions: list[ca.SX], zeta: ca.SX) -> list[ca.SX]:
+    return ca.substitute(expressions, [zeta], [ca.DM.zeros(N_ZETA)])

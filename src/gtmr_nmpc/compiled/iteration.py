@@ -1,0 +1,188 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The real-time iteration in C: the sources under ``c/``, compiled for one problem."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gtmr_codegen.library import load_library
+from gtmr_model import N_ZETA
+from gtmr_nmpc import ocp
+from gtmr_nmpc.compiled import codegen
+from gtmr_nmpc.config import ControllerConfig
+from gtmr_nmpc.iteration import Plan
+from gtmr_nmpc.margins import paper as margins
+
+Array = NDArray[np.float64]
+
+STATUSES = ("solved", "softened", "failed")
+"""By ``gtmr_status``."""
+ALIGNMENT = 64
+"""Of a controller's memory [bytes]."""
+
+
+class CParameters(ctypes.Structure):
+    """``gtmr_parameters`` of ``c/gtmr.h``."""
+
+    _fields_ = (
+        ("tower_radius_m", ctypes.c_double),
+        ("min_clearance_m", ctypes.c_double),
+        ("helix_radius_m", ctypes.c_double),
+        ("helix_speed_m_s", ctypes.c_double),
+        ("helix_climb_m_s", ctypes.c_double),
+        ("helix_start_height_m", ctypes.c_double),
+        ("helix_start_angle_rad", ctypes.c_double),
+        ("min_rotor_speed_hz", ctypes.c_double),
+        ("max_rotor_speed_hz", ctypes.c_double),
+        ("max_rotor_acceleration_hz_s", ctypes.c_double),
+        ("stage_weights", ctypes.c_double * ocp.N_H),
+        ("input_weight", ctypes.c_double),
+        ("terminal_weights", ctypes.c_double * 3),
+        ("half_widths", ctypes.c_double * N_ZETA),
+        ("eps_s_m", ctypes.c_double),
+        ("gust_m", ctypes.c_double),
+        ("slack_l1", ctypes.c_double),
+        ("slack_l2", ctypes.c_double),
+        ("with_margin_gradient", ctypes.c_double),
+    )
+
+
+def parameters(config: ControllerConfig) -> CParameters:
+    """All that the compiled controller takes from a problem at run time.
+
+    Parameters
+    ----------
+    config : ControllerConfig
+        The problem.
+
+    Returns
+    -------
+    CParameters
+    """
+    tower, helix, vehicle, weights = config.tower, config.helix, config.vehicle, config.weights
+    first_gust_m = margins.gust_margin(config.uncertainty, vehicle, 1, config.sampling_time_s)[1]
+    return CParameters(
+        tower_radius_m=tower.radius_m,
+        min_clearance_m=tower.min_clearance_m,
+        helix_radius_m=tower.radius_m + helix.offset_m,
+        helix_speed_m_s=helix.speed_m_s,
+        helix_climb_m_s=helix.climb_m_s,
+        helix_start_height_m=helix.start_height_m,
+        helix_start_angle_rad=helix.start_angle_rad,
+        min_rotor_speed_hz=vehicle.min_rotor_speed_hz,
+        max_rotor_speed_hz=vehicle.max_rotor_speed_hz,
+        max_rotor_acceleration_hz_s=vehicle.max_rotor_acceleration_hz_s,
+        stage_weights=tuple(ocp.stage_weights(config)),
+        input_weight=weights.rotor_acceleration,
+        terminal_weights=weights.terminal_position,
+        half_widths=tuple(config.uncertainty.half_widths),
+        eps_s_m=config.eps_s_m,
+        gust_m=first_gust_m,
+        slack_l1=config.slack_l1,
+        slack_l2=config.slack_l2,
+        with_margin_gradient=float(config.tightening == "gradient"),
+    )
+
+
+class CompiledIteration:
+    """An `Iteration` in C.
+
+    Parameters
+    ----------
+    config : ControllerConfig
+        The problem.
+
+    Raises
+    ------
+    CompileError
+        If it is not in the cache and there is no compiler.
+    """
+
+    def __init__(self, config: ControllerConfig) -> None:
+        n, n_x, n_u = config.horizon, config.vehicle.n_x, config.vehicle.n_rotors
+        self._config = config
+        self._library = library = _library(_compiled_part(config))
+        memory = np.zeros(library.gtmr_size() + ALIGNMENT, np.uint8)
+        # The library has no memory of its own: this array must live as long as the controller.
+        self._memory = memory
+        address = memory.ctypes.data + -memory.ctypes.data % ALIGNMENT
+        self._controller = ctypes.c_void_p(address)
+        library.gtmr_create(self._controller, ctypes.byref(parameters(config)))
+
+        self._x = np.zeros(n_x)
+        self._x_address = ctypes.c_void_p(self._x.ctypes.data)
+        self._plan = np.zeros(library.gtmr_plan_length())
+        self._plan_address = ctypes.c_void_p(self._plan.ctypes.data)
+        shapes = ((n + 1, n_x), (n, n_u), (n + 1, N_ZETA), (n + 1,), (n + 1,), (n + 1,))
+        ends = np.cumsum([math.prod(shape) for shape in shapes]).tolist()
+        starts = [0, *ends[:-1]]
+        self._parts = [(shape, 8 * start) for shape, start in zip(shapes, starts, strict=True)]
+        self._eps_s = 0.0
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Bytes of a controller's memory, and entries of a plan, for users of the C library."""
+        return self._library.gtmr_size(), self._library.gtmr_plan_length()
+
+    def reconfigure(self, config: ControllerConfig) -> None:
+        """See `Iteration.reconfigure`."""
+        self._config = config
+        self._library.gtmr_reconfigure(self._controller, ctypes.byref(parameters(config)))
+
+    def cold(self, x: Array) -> None:
+        """See `Iteration.cold`."""
+        self._x[:] = x
+        self._library.gtmr_cold(self._controller, self._x_address)
+
+    def warm(self, steps: int) -> None:
+        """See `Iteration.warm`."""
+        self._library.gtmr_warm(self._controller, steps)
+
+    def prepare(self, t: float, margin_scale: float) -> None:
+        """See `Iteration.prepare`."""
+        self._eps_s = margin_scale * self._config.eps_s_m
+        self._library.gtmr_prepare(
+            self._controller, ctypes.c_double(t), ctypes.c_double(margin_scale)
+        )
+
+    def feedback(self, x: Array) -> Plan:
+        """See `Iteration.feedback`."""
+        self._x[:] = x
+        status = self._library.gtmr_feedback(self._controller, self._x_address, self._plan_address)
+        plan = self._plan.copy()
+        x, u, by_channel, alpha_p, alpha_g, slack = (
+            np.ndarray(shape, float, plan, offset) for shape, offset in self._parts
+        )
+        return Plan(x, u, by_channel, alpha_p, alpha_g, slack, self._eps_s, STATUSES[status])
+
+
+def _compiled_part(config: ControllerConfig) -> ControllerConfig:
+    """Keep only what the sources depend on, so that the rest does not compile them again."""
+    return ControllerConfig(
+        vehicle=config.vehicle,
+        horizon=config.horizon,
+        sampling_time_s=config.sampling_time_s,
+    )
+
+
+@lru_cache(maxsize=16)
+def _library(config: ControllerConfig) -> ctypes.CDLL:
+    sources = codegen.c_sources(config)
+    library = load_library("the controller", sources, codegen.flags(sources))
+    library.gtmr_size.restype = library.gtmr_plan_length.restype = ctypes.c_size_t
+    library.gtmr_create.restype = ctypes.c_void_p
+    for name in ("reconfigure", "cold", "warm", "prepare"):
+        getattr(library, f"gtmr_{name}").restype = None
+    return library

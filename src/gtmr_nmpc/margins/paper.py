@@ -1,0 +1,140 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The clearance constraint and its tightening: eq. (9), (12), (13)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gtmr_model import Tower, UncertaintySet, Vehicle
+
+Array = NDArray[np.float64]
+
+
+def clearance_gradient(positions: Array) -> Array:
+    """Position part of J_yx, eq. (9): the rest of the row is zero.
+
+    Parameters
+    ----------
+    positions : NDArray, shape (n, 3)
+        World frame [m], off the tower's axis.
+
+    Returns
+    -------
+    NDArray, shape (n, 3)
+        Gradient of y = d_min - d_T(p), the unit vector towards the tower [-].
+    """
+    horizontal = positions * [1.0, 1.0, 0.0]
+    return -horizontal / np.linalg.norm(horizontal, axis=1, keepdims=True)
+
+
+def clearance_curvature(positions: Array, direction: Array) -> Array:
+    """Second derivative of y in one direction per row: d(J_yx direction)/dp.
+
+    Parameters
+    ----------
+    positions : NDArray, shape (n, 3)
+        World frame [m], off the tower's axis.
+    direction : NDArray, shape (n, 3)
+        World frame.
+
+    Returns
+    -------
+    NDArray, shape (n, 3)
+        [1/m] times the unit of ``direction``.
+    """
+    rho = np.hypot(positions[:, 0], positions[:, 1])[:, None]
+    outward = positions * [1.0, 1.0, 0.0] / rho
+    horizontal = direction * [1.0, 1.0, 0.0]
+    along = (outward * horizontal).sum(axis=1, keepdims=True)
+    return -(horizontal - along * outward) / rho
+
+
+def clearance_sensitivity(positions: Array, pi: Array) -> Array:
+    """Sensitivity of the clearance constraint, Pi_y = J_yx Pi.
+
+    Parameters
+    ----------
+    positions : NDArray, shape (N + 1, 3)
+        Planned positions, world frame [m].
+    pi : NDArray, shape (N + 1, n_x, 9)
+        State sensitivities.
+
+    Returns
+    -------
+    NDArray, shape (N + 1, 9)
+        [m] per unit of zeta.
+    """
+    sensitivity: Array = np.einsum("ij,ijk->ik", clearance_gradient(positions), pi[:, :3, :])
+    return sensitivity
+
+
+def parametric_margin(pi_y: Array, uncertainty: UncertaintySet) -> Array:
+    """Terms of the parametric margin by channel, |Pi_y,i,j| w_bar_j of eq. (12), without eps_s.
+
+    Parameters
+    ----------
+    pi_y : NDArray, shape (N + 1, 9)
+        Sensitivity of the clearance constraint.
+    uncertainty : UncertaintySet
+        The box of zeta.
+
+    Returns
+    -------
+    NDArray, shape (N + 1, 9)
+        [m]; alpha_p is the sum over channels plus eps_s.
+    """
+    return np.abs(pi_y) * uncertainty.half_widths
+
+
+def gust_margin(
+    uncertainty: UncertaintySet, vehicle: Vehicle, horizon: int, sampling_time_s: float
+) -> Array:
+    """Gust margin alpha_g,i = 1/2 (w_bar_g / m_min) (i T_s)^2, eq. (13).
+
+    Parameters
+    ----------
+    uncertainty : UncertaintySet
+        Bounds on gust and mass.
+    vehicle : Vehicle
+        Nominal mass.
+    horizon : int
+        N.
+    sampling_time_s : float
+        T_s [s].
+
+    Returns
+    -------
+    NDArray, shape (N + 1,)
+        [m].
+    """
+    min_mass_kg = (1.0 - uncertainty.mass) * vehicle.mass_kg
+    time = sampling_time_s * np.arange(horizon + 1)
+    return np.asarray(0.5 * uncertainty.gust_n / min_mass_kg * time**2, dtype=float)
+
+
+def tightened_residual(tower: Tower, positions: Array, alpha: Array) -> Array:
+    """Left side of eq. (14) in standard form, y(x_i) + alpha_i <= 0.
+
+    Parameters
+    ----------
+    tower : Tower
+        Radius and least clearance.
+    positions : NDArray, shape (N + 1, 3)
+        Planned positions, world frame [m].
+    alpha : NDArray, shape (N + 1,)
+        alpha_p + alpha_g [m].
+
+    Returns
+    -------
+    NDArray, shape (N + 1,)
+        [m], above zero where the tightened constraint is violated.
+    """
+    return tower.residual(positions) + alpha

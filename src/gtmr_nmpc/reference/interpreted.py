@@ -1,0 +1,85 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The real-time iteration on CasADi's virtual machine: no compiler needed, same answers."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gtmr_nmpc.config import ControllerConfig, Mode
+from gtmr_nmpc.iteration import SLACK_TOLERANCE_M, Plan
+from gtmr_nmpc.margins import paper as margins
+from gtmr_nmpc.reference.rti import Preparation, RealTimeIteration, Trajectory
+
+Array = NDArray[np.float64]
+
+
+class InterpretedIteration:
+    """An `Iteration` made of `RealTimeIteration`.
+
+    Parameters
+    ----------
+    config : ControllerConfig
+        The problem.
+    """
+
+    def __init__(self, config: ControllerConfig) -> None:
+        self._config = config
+        self._rti = RealTimeIteration(config)
+        self._iterate: Trajectory
+        self._last: Trajectory
+        self._preparation: Preparation
+
+    def reconfigure(self, config: ControllerConfig) -> None:
+        """See `Iteration.reconfigure`."""
+        self._config = config
+        self._rti.reconfigure(config)
+
+    def cold(self, x: Array) -> None:
+        """See `Iteration.cold`."""
+        n = self._config.horizon
+        self._iterate = Trajectory(
+            x=np.tile(x, (n + 1, 1)), u=np.zeros((n, self._config.vehicle.n_rotors))
+        )
+
+    def warm(self, steps: int) -> None:
+        """See `Iteration.warm`."""
+        hold = np.zeros((steps, self._config.vehicle.n_rotors))
+        states = list(self._last.x[steps:])
+        for u in hold:
+            states.append(self._rti.predict(states[-1], u))
+        self._iterate = Trajectory(x=np.array(states), u=np.vstack([self._last.u[steps:], hold]))
+
+    def prepare(self, t: float, margin_scale: float) -> None:
+        """See `Iteration.prepare`."""
+        mode: Mode = "robust" if margin_scale > 0.0 else "nominal"
+        self._preparation = self._rti.prepare(t, self._iterate, mode, margin_scale)
+
+    def feedback(self, x: Array) -> Plan:
+        """See `Iteration.feedback`."""
+        result = self._rti.feedback(self._preparation, x)
+        if result is None:
+            self._last, slack, status = self._iterate, np.zeros(self._config.horizon), "failed"
+        else:
+            self._last, slack = result
+            status = "softened" if slack.max() > SLACK_TOLERANCE_M else "solved"
+        tightening = self._preparation.margins
+        # Stage 0 is measured, not planned: its violation is a fact and no variable of the QP.
+        now = margins.tightened_residual(self._config.tower, x[None, :3], tightening.total[:1])
+        return Plan(
+            x_plan=self._last.x,
+            u_plan=self._last.u,
+            alpha_p_by_channel=tightening.by_channel,
+            alpha_p=tightening.parametric,
+            alpha_g=tightening.gust,
+            slack=np.r_[np.maximum(now, 0.0), slack],
+            eps_s=tightening.eps_s,
+            status=status,
+        )

@@ -1,0 +1,363 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""One Gauss-Newton iteration of the OCP, split into preparation and feedback (Sec. V).
+
+Preparation linearises, propagates sensitivities and condenses along the current iterate, before
+the state is known; feedback embeds the measured state, solves one QP and expands its solution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from gtmr_model.dynamics import POSITION, ROTORS
+from gtmr_model.uncertainty import N_ZETA
+from gtmr_nmpc import ocp, sensitivity
+from gtmr_nmpc.config import ControllerConfig, Mode
+from gtmr_nmpc.margins import paper as margins
+from gtmr_nmpc.reference.evaluate import Evaluator
+from gtmr_nmpc.reference.qp import CondensedQp
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """An iterate: states and inputs over the horizon, not necessarily consistent."""
+
+    x: Array
+    """States, shape (N + 1, 12 + N_p)."""
+    u: Array
+    """Rotor accelerations [Hz/s], shape (N, N_p)."""
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Tightening of the clearance constraint along an iterate."""
+
+    by_channel: Array
+    """Terms of alpha_p without eps_s [m], shape (N + 1, 9)."""
+    eps_s: float
+    """[m]."""
+    gust: Array
+    """alpha_g [m], shape (N + 1,)."""
+
+    @property
+    def parametric(self) -> Array:
+        """alpha_p, eq. (12) [m], shape (N + 1,)."""
+        total: Array = self.by_channel.sum(axis=1) + self.eps_s
+        return total
+
+    @property
+    def total(self) -> Array:
+        """alpha_p + alpha_g [m], shape (N + 1,)."""
+        return self.parametric + self.gust
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """All of the QP that does not depend on the measured state."""
+
+    iterate: Trajectory
+    margins: Margins
+    dx_du: Array
+    """Condensed dx_i/dU, shape (N + 1, n_x, N N_p)."""
+    dx_dx0: Array
+    """Condensed dx_i/dx_0, shape (N + 1, n_x, n_x)."""
+    defect: Array
+    """State offsets from the shooting gaps, shape (N + 1, n_x)."""
+    hessian: Array
+    """Condensed Hessian, shape (N N_p, N N_p)."""
+    gradient: Array
+    """Condensed gradient for dx_0 = 0, shape (N N_p,)."""
+    gradient_dx0: Array
+    """Its derivative with respect to dx_0, shape (N N_p, n_x)."""
+    clearance_rows: Array
+    """Linearised tightened clearance of stages 1..N, shape (N, N N_p)."""
+    clearance_residual: Array
+    """Its value for dU = 0, dx_0 = 0 [m], shape (N,)."""
+    clearance_dx0: Array
+    """Its derivative with respect to dx_0, shape (N, n_x)."""
+
+
+class RealTimeIteration:
+    """Prepares and solves the Gauss-Newton QPs of one problem.
+
+    Parameters
+    ----------
+    config : ControllerConfig
+        The problem.
+    """
+
+    def __init__(self, config: ControllerConfig) -> None:
+        n, vehicle = config.horizon, config.vehicle
+        self._dynamics = ocp.discrete_dynamics(config)
+        self._linearise = Evaluator(_linearisation(config, with_zeta=False), n)
+        self._linearise_with_zeta = Evaluator(_linearisation(config, with_zeta=True), n)
+        self._adjoint = Evaluator(
+            sensitivity.second_order_adjoint(self._dynamics), n * (n + 1) // 2
+        )
+        ones = np.tril(np.ones((n, n)))
+        speed_rows = config.sampling_time_s * np.kron(ones, np.eye(vehicle.n_rotors))
+        self._speed_rows = np.asarray(speed_rows, dtype=float)
+        self.reconfigure(config)
+
+    def reconfigure(self, config: ControllerConfig) -> None:
+        """Take over other numbers of the same problem: what is compiled does not depend on them.
+
+        Parameters
+        ----------
+        config : ControllerConfig
+            With the vehicle, horizon and sampling time of the old one.
+        """
+        self.config = config
+        self._sqrt_q = np.sqrt(ocp.stage_weights(config))
+        self._sqrt_qf = np.sqrt(config.weights.terminal_position)
+        self._gust = margins.gust_margin(
+            config.uncertainty, config.vehicle, config.horizon, config.sampling_time_s
+        )
+
+    def predict(self, x: Array, u: Array) -> Array:
+        """Simulate one stage with the nominal model, eq. (5b).
+
+        Parameters
+        ----------
+        x : NDArray, shape (12 + N_p,)
+            State.
+        u : NDArray, shape (N_p,)
+            Rotor accelerations [Hz/s].
+
+        Returns
+        -------
+        NDArray, shape (12 + N_p,)
+        """
+        return np.asarray(self._dynamics(x, u, np.zeros(N_ZETA))).ravel()
+
+    def sensitivities(self, iterate: Trajectory) -> Array:
+        """Pi along an iterate, eq. (8).
+
+        Parameters
+        ----------
+        iterate : Trajectory
+            States and inputs.
+
+        Returns
+        -------
+        NDArray, shape (N + 1, 12 + N_p, 9)
+        """
+        _, a, _, _, _, e = self._linearise_with_zeta(iterate.x[:-1], iterate.u)
+        return sensitivity.propagate(a, e)
+
+    def margin_gradient(self, iterate: Trajectory) -> tuple[Array, Array]:
+        """Gradient of alpha_p along an iterate, away from sign changes of Pi_y.
+
+        Parameters
+        ----------
+        iterate : Trajectory
+            States and inputs.
+
+        Returns
+        -------
+        tuple of NDArray
+            d alpha_p,i / d x_k, shape (N + 1, N + 1, 12 + N_p), and d alpha_p,i / d u_k, shape
+            (N + 1, N, N_p).
+        """
+        _, a, _, _, _, e = self._linearise_with_zeta(iterate.x[:-1], iterate.u)
+        return self._margin_gradient(iterate, a, sensitivity.propagate(a, e))
+
+    def prepare(
+        self, t: float, iterate: Trajectory, mode: Mode, margin_scale: float = 1.0
+    ) -> Preparation:
+        """Linearise and condense along an iterate.
+
+        Parameters
+        ----------
+        t : float
+            Time of stage 0 [s].
+        iterate : Trajectory
+            Where to linearise.
+        mode : str
+            ``nominal`` or ``robust``.
+        margin_scale : float
+            Of the margins in robust mode, 0 to 1.
+
+        Returns
+        -------
+        Preparation
+        """
+        n, n_x, n_u = self.config.horizon, self.config.vehicle.n_x, self.config.vehicle.n_rotors
+        robust = mode == "robust"
+        linearise = self._linearise_with_zeta if robust else self._linearise
+        x_next, a, b, h, dh, *rest = linearise(iterate.x[:-1], iterate.u)
+
+        dx_du = np.zeros((n + 1, n_x, n * n_u))
+        dx_dx0 = np.zeros((n + 1, n_x, n_x))
+        dx_dx0[0] = np.eye(n_x)
+        defect = np.zeros((n + 1, n_x))
+        for i in range(n):
+            past = i * n_u
+            dx_du[i + 1, :, :past] = a[i] @ dx_du[i, :, :past]
+            dx_du[i + 1, :, past : past + n_u] = b[i]
+            dx_dx0[i + 1] = a[i] @ dx_dx0[i]
+            defect[i + 1] = a[i] @ defect[i] + x_next[i] - iterate.x[i + 1]
+
+        # The cost as least squares, ||residual + J_u dU + J_x dx_0||^2, stage 0 being given.
+        reference = ocp.horizon_reference(self.config, t)
+        output = dh * self._sqrt_q[..., None]
+        stage = self._sqrt_q * (h - reference.stages) + np.einsum(
+            "ijk,ik->ij", output, defect[:-1]
+        )
+        terminal = self._sqrt_qf * (iterate.x[-1, POSITION] + defect[-1, :3] - reference.terminal)
+        residual = np.r_[stage[1:].ravel(), terminal]
+        j_u = np.vstack(
+            [
+                (output[1:] @ dx_du[1:-1]).reshape(-1, n * n_u),
+                self._sqrt_qf[:, None] * dx_du[-1, POSITION],
+            ]
+        )
+        j_x = np.vstack(
+            [
+                (output[1:] @ dx_dx0[1:-1]).reshape(-1, n_x),
+                self._sqrt_qf[:, None] * dx_dx0[-1, POSITION],
+            ]
+        )
+        q_u = self.config.weights.rotor_acceleration
+        hessian = 2.0 * (j_u.T @ j_u)
+        hessian[np.diag_indices_from(hessian)] += 2.0 * q_u
+
+        gradient_y = margins.clearance_gradient(iterate.x[:, POSITION])
+        rows = np.einsum("ij,ijk->ik", gradient_y, dx_du[:, POSITION])
+        rows_dx0 = np.einsum("ij,ijk->ik", gradient_y, dx_dx0[:, POSITION])
+        offset = np.einsum("ij,ij->i", gradient_y, defect[:, POSITION])
+        if robust:
+            pi = sensitivity.propagate(a, rest[0])
+            pi_y = margins.clearance_sensitivity(iterate.x[:, POSITION], pi)
+            tightening = Margins(
+                by_channel=margin_scale * margins.parametric_margin(pi_y, self.config.uncertainty),
+                eps_s=margin_scale * self.config.eps_s_m,
+                gust=margin_scale * self._gust,
+            )
+            if self.config.tightening == "gradient":
+                d_x, d_u = self._margin_gradient(iterate, a, pi)
+                d_x_flat = margin_scale * d_x.reshape(n + 1, -1)
+                d_u_flat = margin_scale * d_u.reshape(n + 1, -1)
+                rows += d_x_flat @ dx_du.reshape(-1, n * n_u) + d_u_flat
+                rows_dx0 += d_x_flat @ dx_dx0.reshape(-1, n_x)
+                offset += d_x_flat @ defect.ravel()
+        else:
+            tightening = Margins(np.zeros((n + 1, N_ZETA)), 0.0, np.zeros(n + 1))
+        tightened = margins.tightened_residual(
+            self.config.tower, iterate.x[:, POSITION], tightening.total
+        )
+        return Preparation(
+            iterate=iterate,
+            margins=tightening,
+            dx_du=dx_du,
+            dx_dx0=dx_dx0,
+            defect=defect,
+            hessian=hessian,
+            gradient=2.0 * (j_u.T @ residual + q_u * iterate.u.ravel()),
+            gradient_dx0=2.0 * (j_u.T @ j_x),
+            clearance_rows=rows[1:],
+            clearance_residual=(tightened + offset)[1:],
+            clearance_dx0=rows_dx0[1:],
+        )
+
+    def feedback(self, prep: Preparation, x: Array) -> tuple[Trajectory, Array] | None:
+        """Embed the measured state, solve the QP, take the full step.
+
+        Parameters
+        ----------
+        prep : Preparation
+            Made for the time of x.
+        x : NDArray, shape (12 + N_p,)
+            Measured state; its yaw within pi of the iterate's.
+
+        Returns
+        -------
+        tuple of Trajectory and NDArray, or None
+            The new iterate, and the slack of stages 1..N [m]; None if the QP solver gave up.
+        """
+        n, vehicle = self.config.horizon, self.config.vehicle
+        dx0 = x - prep.iterate.x[0]
+        u = prep.iterate.u.ravel()
+        limit = vehicle.max_rotor_acceleration_hz_s
+
+        # A rotor that starts outside its limits is asked for no more than it can do.
+        reach = limit * self.config.sampling_time_s * np.arange(1, n + 1)[:, None]
+        lowest = np.minimum(vehicle.min_rotor_speed_hz, x[ROTORS] + reach)
+        highest = np.maximum(vehicle.max_rotor_speed_hz, x[ROTORS] - reach)
+        planned = x[ROTORS] + (self._speed_rows @ u).reshape(n, -1)
+
+        solution = CondensedQp(
+            hessian=prep.hessian,
+            gradient=prep.gradient + prep.gradient_dx0 @ dx0,
+            input_lower=-limit - u,
+            input_upper=limit - u,
+            speed_rows=self._speed_rows,
+            speed_lower=(lowest - planned).ravel(),
+            speed_upper=(highest - planned).ravel(),
+            clearance_rows=prep.clearance_rows,
+            clearance_upper=-(prep.clearance_residual + prep.clearance_dx0 @ dx0),
+            slack_l1=self.config.slack_l1,
+            slack_l2=self.config.slack_l2,
+        ).solve()
+        if solution is None:
+            return None
+        dx = prep.dx_du @ solution.du + prep.dx_dx0 @ dx0 + prep.defect
+        du = solution.du.reshape(n, -1)
+        return Trajectory(x=prep.iterate.x + dx, u=prep.iterate.u + du), solution.slack
+
+    def _margin_gradient(self, iterate: Trajectory, a: Array, pi: Array) -> tuple[Array, Array]:
+        """Differentiate alpha_p,i = J_yx(x_i) Pi_i s_i with the signs s_i held."""
+        n, n_x, n_u = self.config.horizon, self.config.vehicle.n_x, self.config.vehicle.n_rotors
+        gradient_y = margins.clearance_gradient(iterate.x[:, POSITION])
+        pi_y = margins.clearance_sensitivity(iterate.x[:, POSITION], pi)
+        signs = np.sign(pi_y) * self.config.uncertainty.half_widths
+        margin, step = np.tril_indices(n)
+        margin = margin + 1
+        # lambda of step k for margin i: J_yx carried back from stage i to stage k + 1.
+        lam = np.zeros((n + 1, n, n_x))
+        back = np.zeros((n + 1, n_x))
+        for k in range(n - 1, -1, -1):
+            back = back @ a[k + 1] if k + 1 < n else back
+            back[k + 1, POSITION] = gradient_y[k + 1]
+            lam[:, k] = back
+        direction = np.einsum("kxj,ij->ikx", pi, signs)
+        (gradient,) = self._adjoint(
+            iterate.x[step],
+            iterate.u[step],
+            lam[margin, step],
+            direction[margin, step],
+            signs[margin],
+        )
+        d_x, d_u = np.zeros((n + 1, n + 1, n_x)), np.zeros((n + 1, n, n_u))
+        d_x[margin, step] = gradient[:, :n_x]
+        d_u[margin, step] = gradient[:, n_x:]
+        stages = np.arange(n + 1)
+        d_x[stages, stages, POSITION] += margins.clearance_curvature(
+            iterate.x[:, POSITION], direction[stages, stages, POSITION]
+        )
+        return d_x, d_u
+
+
+def _linearisation(config: ControllerConfig, with_zeta: bool) -> ca.Function:
+    """One stage: (x, u) -> F, dF/dx, dF/du, h, dh/dx and, where asked, dF/dzeta at zeta = 0."""
+    dynamics, output = ocp.discrete_dynamics(config), ocp.output_map(config)
+    x, u, zeta = (ca.SX.sym(name, dynamics.size1_in(name)) for name in ("x", "u", "zeta"))
+    x_next, h = dynamics(x, u, zeta), output(x)
+    results = [x_next, ca.jacobian(x_next, x), ca.jacobian(x_next, u), h, ca.jacobian(h, x)]
+    if with_zeta:
+        results.append(ca.jacobian(x_next, zeta))
+    results = ca.substitute(results, [zeta], [ca.DM.zeros(N_ZETA)])
+    return ca.Function("linearise", [x, u], [ca.densify(r) for r in results])

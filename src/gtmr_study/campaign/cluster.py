@@ -1,0 +1,233 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Dask: workers on this machine or on a cluster, fed with chunks, results as they come."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+import dask
+from distributed import Client, LocalCluster, as_completed
+
+from gtmr_nmpc import Mode
+from gtmr_study.campaign.study import Study
+from gtmr_study.campaign.trial import ERROR, Row, empty_row, fly_trials
+from gtmr_study.result_files import InputError
+
+CONNECT_TIMEOUT_S = 3.0
+"""How long a scheduler may take to answer [s]."""
+WORKERS_TIMEOUT_S = 3.0
+"""How long a scheduler may be without workers at the start [s]."""
+CHUNK_FLIGHT_S = 100.0
+"""Simulated flight handed out at a time: long against the cost of handing out, short enough that
+a worker's death costs little [s]."""
+LARGEST_CHUNK = 64
+"""Flights in a chunk at most."""
+
+Flights = Sequence[tuple[int, Mode]]
+Chunk = TypeVar("Chunk")
+Result = TypeVar("Result")
+
+
+@contextmanager
+def local_workers(count: int | None = None) -> Iterator[Client]:
+    """Start Dask workers on this machine.
+
+    Parameters
+    ----------
+    count : int, optional
+        Processes; one per processor if left out.
+
+    Yields
+    ------
+    distributed.Client
+    """
+    _be_quiet()
+    n = count if count is not None else len(os.sched_getaffinity(0))
+    with _deaf_to_interrupts():
+        cluster = LocalCluster(
+            n_workers=n,
+            threads_per_worker=1,
+            # Any free port: several campaigns may run on one machine.
+            dashboard_address=":0",
+            memory_limit=None,
+            silence_logs=logging.CRITICAL,
+        )
+    with cluster, Client(cluster) as client:
+        yield client
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Let processes that are started meanwhile leave Ctrl-C to this one, which ends them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def remote_workers(scheduler: str) -> Iterator[Client]:
+    """Connect to a running Dask scheduler.
+
+    Parameters
+    ----------
+    scheduler : str
+        Its address.
+
+    Yields
+    ------
+    distributed.Client
+
+    Raises
+    ------
+    InputError
+        If it does not answer, or has no workers.
+    """
+    _be_quiet()
+    try:
+        with dask.config.set({"distributed.comm.timeouts.connect": CONNECT_TIMEOUT_S}):
+            client = Client(scheduler, timeout=CONNECT_TIMEOUT_S)
+    except (OSError, ValueError) as error:
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise InputError(
+            f"--scheduler = {scheduler}: no Dask scheduler answers: {reason}"
+        ) from None
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=WORKERS_TIMEOUT_S)
+        except TimeoutError:
+            raise InputError(
+                f"--scheduler = {scheduler}: has no workers: start some with "
+                f"dask worker {scheduler}"
+            ) from None
+        yield client
+
+
+@contextmanager
+def workers(count: int | None = None, scheduler: str | None = None) -> Iterator[Client]:
+    """Start workers on this machine, or connect to those of a scheduler.
+
+    Parameters
+    ----------
+    count : int, optional
+        Processes on this machine; one per processor if left out.
+    scheduler : str, optional
+        Address of a running scheduler, instead.
+
+    Yields
+    ------
+    distributed.Client
+
+    Raises
+    ------
+    InputError
+        If the scheduler does not answer, or has no workers.
+    """
+    chosen = local_workers(count) if scheduler is None else remote_workers(scheduler)
+    with chosen as client:
+        yield client
+
+
+def fly_on(client: Client, study: Study, flights: Flights) -> Iterator[list[Row]]:
+    """Fly on workers, in chunks.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        The workers; one that dies has its chunks flown again elsewhere.
+    study : Study
+        The campaign.
+    flights : sequence of (int, str)
+        Numbers of trials, and modes.
+
+    Yields
+    ------
+    list of dict
+        The rows of one chunk, in the order in which chunks are done.
+    """
+    chunks = list(chunked(flights, study.duration_s))
+    for chunk, rows in run_chunks(client, fly_trials, study, chunks):
+        if isinstance(rows, BaseException):
+            # Flights report their own errors; here the workers themselves gave up.
+            yield [_lost(trial, mode, rows) for trial, mode in chunk]
+        else:
+            yield rows
+
+
+def run_chunks(
+    client: Client,
+    function: Callable[[Study, Chunk], Result],
+    study: Study,
+    chunks: Sequence[Chunk],
+) -> Iterator[tuple[Chunk, Result | BaseException]]:
+    """Run a function of a study and a chunk on workers.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        The workers.
+    function : callable
+        Importable on the workers.
+    study : Study
+        Its first argument.
+    chunks : sequence
+        Its second arguments.
+
+    Yields
+    ------
+    tuple
+        A chunk and its result, or what was raised, in the order in which they are done.
+    """
+    futures = {client.submit(function, study, chunk, pure=False): chunk for chunk in chunks}
+    of = {future.key: chunk for future, chunk in futures.items()}
+    done = as_completed(futures)
+    # Only `done` holds on to the results, so that each can be forgotten once it is handed on.
+    del futures
+    for future in done:
+        result = future.result() if future.status == "finished" else future.exception()
+        yield of[future.key], result
+
+
+def chunked(flights: Flights, duration_s: float) -> Iterator[Flights]:
+    """Cut a campaign into the pieces that are handed out.
+
+    Parameters
+    ----------
+    flights : sequence of (int, str)
+        Numbers of trials, and modes.
+    duration_s : float
+        Length of each [s].
+
+    Returns
+    -------
+    iterator of sequence of (int, str)
+    """
+    size = min(max(1, round(CHUNK_FLIGHT_S / duration_s)), LARGEST_CHUNK)
+    return (flights[start : start + size] for start in range(0, len(flights), size))
+
+
+def _be_quiet() -> None:
+    # Lost workers are replaced, and what matters of a lost scheduler is in our own message.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+
+
+def _lost(trial: int, mode: Mode, error: Any) -> Row:
+    reason = " ".join(f"{type(error).__name__}: {error}".split())
+    return empty_row(trial, mode) | {"status": ERROR, "error": reason}

@@ -1,0 +1,233 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The report of campaigns: one HTML page that needs nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from gtmr_monitor.report import look
+from gtmr_monitor.report.drawing import inline_svg, save
+from gtmr_monitor.report.style import STYLE
+from gtmr_study.campaign.figures import FIGURES, Campaign
+
+CAPTIONS = {
+    "residual": "s = d<sub>min</sub> − d<sub>T</sub>, pooled over all instants of all trials; "
+    "below the dashed line the clearance constraint holds. Boxes show quartiles, whiskers the "
+    "extremes.",
+    "least-clearance": "Each trial counts with the least clearance of its flight.",
+    "violations": "A trial counts if any instant violates the clearance constraint.",
+    "channels": "How much of the variance of the least clearance is explained by one channel of "
+    "the true mismatch alone. What is missing to 100 % is the interplay of channels, and gusts.",
+    "solve-times": "Preparation and feedback together, wall time, with as many flights at once "
+    "as there were workers.",
+}
+"""Explanation of every figure."""
+
+_STUDY_STYLE = """
+figure svg { max-width: 100%; height: auto; }
+tbody th { white-space: nowrap; }
+.wide thead th, .wide tbody th { white-space: normal; }
+.wide th, .wide td { padding-right: 0.8rem; font-size: 0.9em; }
+"""
+
+Value = Callable[[dict[str, Any]], str]
+
+
+def write_campaign_report(folders: Sequence[Path], out_html: Path) -> list[Path]:
+    """Write a report on campaigns, one below the other.
+
+    Parameters
+    ----------
+    folders : sequence of pathlib.Path
+        Folders of campaigns.
+    out_html : pathlib.Path
+        The file; figures go beside it as ``<stem>-<figure>.png``.
+
+    Returns
+    -------
+    list of pathlib.Path
+        What was written, the HTML file first.
+
+    Raises
+    ------
+    InputError
+        If a folder holds no campaign.
+    """
+    campaigns = [Campaign.read(folder) for folder in folders]
+    names = ", ".join(campaign.name for campaign in campaigns)
+    body = "\n".join(campaign_section(campaign) for campaign in campaigns)
+    out_html.write_text(page(f"Campaign {names}", body), encoding="utf-8")
+    return [out_html, *_write_figures(campaigns, out_html)]
+
+
+def _write_figures(campaigns: Sequence[Campaign], out_html: Path) -> list[Path]:
+    paths = []
+    for number, campaign in enumerate(campaigns, start=1):
+        # One campaign's figures need no number.
+        prefix = out_html.stem if len(campaigns) == 1 else f"{out_html.stem}-{number}"
+        for name, draw in FIGURES.items() if campaign.flown else ():
+            stem = out_html.with_name(f"{prefix}-{name}")
+            paths += save(partial(draw, campaign), stem, ("png",))
+    return paths
+
+
+def page(title: str, body: str) -> str:
+    """Make a page that loads nothing.
+
+    Parameters
+    ----------
+    title : str
+        Plain text.
+    body : str
+        HTML.
+
+    Returns
+    -------
+    str
+    """
+    # The icon in the page keeps the browser from asking for one.
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{escape(title)}</title>
+<link rel="icon" href="data:,">
+<style>{STYLE}{_STUDY_STYLE}</style>
+</head>
+<body>
+<h1>{escape(title)}</h1>
+{body}
+</body>
+</html>
+"""
+
+
+def campaign_section(campaign: Campaign) -> str:
+    """Describe a campaign in HTML: conditions, figures in numbers, figures drawn.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        The results.
+
+    Returns
+    -------
+    str
+    """
+    summary = campaign.summary
+    missing = campaign.study.n_trials * len(campaign.study.modes) - len(campaign.trials)
+    errors = sum(s["errors"] for s in summary.values())
+    notes = []
+    if missing:
+        notes.append(f"{missing} flights are still missing.")
+    if errors:
+        reason = campaign.trials["error"].dropna().iloc[0]
+        notes.append(f"{errors} trials raised; the first: {reason}")
+    warnings = "".join(f'<p class="warning">{escape(note)}</p>' for note in notes)
+    flown = {mode: s for mode, s in summary.items() if s["trials"]}
+    if not flown:
+        return f"<h2>{escape(campaign.name)}</h2>{warnings}<p>No trial has flown yet.</p>"
+    figures = "\n".join(
+        f'<figure id="{name}">{inline_svg(partial(draw, campaign))}</figure>\n'
+        f"<p>{CAPTIONS[name]}</p>"
+        for name, draw in FIGURES.items()
+    )
+    return f"""<h2>{escape(campaign.name)}</h2>
+{warnings}
+<div class="tables">
+<section><h2>Summary</h2>
+{table(list(flown), [(name, [cell(s) for s in flown.values()]) for name, cell in _ROWS])}</section>
+<section><h2>Conditions</h2>
+{table([], _conditions(campaign))}</section>
+</div>
+{figures}"""
+
+
+def table(heads: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]) -> str:
+    """Make an HTML table with a title for every row.
+
+    Parameters
+    ----------
+    heads : sequence of str
+        Titles of the columns, plain text; modes get their colour.
+    rows : sequence of (str, sequence of str)
+        Title and cells, HTML.
+
+    Returns
+    -------
+    str
+    """
+    head = ""
+    if heads:
+        cells = "".join(f'<th scope="col">{_key(text)}{escape(text)}</th>' for text in heads)
+        head = f"<thead><tr><td></td>{cells}</tr></thead>"
+    body = "\n".join(
+        f'<tr><th scope="row">{title}</th>' + "".join(f"<td>{c}</td>" for c in cells) + "</tr>"
+        for title, cells in rows
+    )
+    return f'<div class="scroll"><table>{head}<tbody>\n{body}\n</tbody></table></div>'
+
+
+def _key(mode: str) -> str:
+    colour = look.MODE_COLOURS.get(mode)
+    return f'<span class="key" style="background:{colour}"></span>' if colour else ""
+
+
+def signed(value: float) -> str:
+    """Write a length to the millimetre, with a true minus sign."""
+    return f"{value:.3f}".replace("-", "−")
+
+
+def _residual(key: str) -> Value:
+    return lambda s: signed(s["residual_m"][key])
+
+
+def _solve(key: str) -> Value:
+    return lambda s: f"{s['solve_ms'][key]:.2f}"
+
+
+_ROWS: tuple[tuple[str, Value], ...] = (
+    ("trials with a violation", lambda s: f"<strong>{s['violations']}</strong> of {s['trials']}"),
+    (
+        "95 % interval of their rate",
+        lambda s: " to ".join(f"{100 * bound:.1f}" for bound in s["violation_rate_95"]) + " %",
+    ),
+    ("least clearance [m]", lambda s: f"<strong>{s['min_clearance_m']:.3f}</strong>"),
+    ("median clearance [m]", lambda s: f"{s['median_clearance_m']:.3f}"),
+    ("residual s, maximum [m]", _residual("max")),
+    ("upper quartile [m]", _residual("q3")),
+    ("median [m]", _residual("median")),
+    ("lower quartile [m]", _residual("q1")),
+    ("minimum [m]", _residual("min")),
+    ("d<sub>T</sub> − d<sub>ref</sub>, RMS [m]", lambda s: f"{s['radial_rms_m']:.3f}"),
+    ("solve time, mean [ms]", _solve("mean")),
+    ("median [ms]", _solve("median")),
+    ("99th percentile [ms]", _solve("p99")),
+    ("steps without a solution", lambda s: str(s["failed_steps"])),
+)
+
+
+def _conditions(campaign: Campaign) -> list[tuple[str, list[str]]]:
+    study = campaign.study
+    return [
+        ("plan", [escape(study.plan.kind)]),
+        ("trials", [str(study.n_trials)]),
+        ("seed", [str(study.seed)]),
+        ("duration", [f"{study.duration_s:g} s"]),
+        ("gusts", [escape(study.gust.kind)]),
+        ("vehicle", [escape(study.controller.vehicle.name)]),
+        ("least clearance d<sub>min</sub>", [f"{study.controller.tower.min_clearance_m:g} m"]),
+        ("reference clearance", [f"{study.controller.helix.offset_m:g} m"]),
+    ]

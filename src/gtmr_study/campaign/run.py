@@ -1,0 +1,94 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A Monte-Carlo campaign from start, or from where it was interrupted, to its summary."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from gtmr_study.campaign import cluster
+from gtmr_study.campaign.study import Study
+from gtmr_study.campaign.summary import summarise
+from gtmr_study.campaign.trials_file import (
+    ResultsError,
+    open_campaign,
+    read_trials,
+    require_own_or_empty,
+)
+from gtmr_study.result_files import write_json
+
+SUMMARY_FILE = "summary.json"
+
+OnProgress = Callable[[int, int], None]
+"""Told how many flights are done, and of how many."""
+
+
+def fly_campaign(
+    study: Study,
+    folder: Path,
+    n_workers: int | None = None,
+    scheduler: str | None = None,
+    on_progress: OnProgress | None = None,
+) -> dict[str, dict[str, Any]]:
+    """Fly what is missing of a campaign, and sum it up.
+
+    Parameters
+    ----------
+    study : Study
+        What to fly.
+    folder : pathlib.Path
+        New, empty, or with a part of the same study; receives study.json, trials.csv as trials
+        are done, and at the end summary.json.
+    n_workers : int, optional
+        Processes on this machine; one per processor if left out.
+    scheduler : str, optional
+        Address of a running Dask scheduler, instead.
+    on_progress : callable, optional
+        Called while flying.
+
+    Returns
+    -------
+    dict
+        The summary, see `summarise`.
+
+    Raises
+    ------
+    InputError
+        If the folder holds anything else, or the scheduler is not there.
+    ResultsError
+        If results cannot be written; finished trials are kept.
+    """
+    with ExitStack() as stack:
+        require_own_or_empty("--out", folder, study)
+        client = None
+        if scheduler is not None:
+            # Before anything is written: a wrong address leaves no folder behind.
+            client = stack.enter_context(cluster.remote_workers(scheduler))
+        file = stack.enter_context(open_campaign("--out", folder, study))
+        flights = study.flights()
+        missing = [flight for flight in flights if flight not in file.done]
+        if missing and client is None:
+            client = stack.enter_context(cluster.local_workers(n_workers))
+        if client is not None:
+            for rows in cluster.fly_on(client, study, missing):
+                file.append(rows)
+                if on_progress is not None:
+                    on_progress(len(file.done), len(flights))
+        file.sort()
+        summary = summarise(read_trials(folder))
+        try:
+            write_json(folder / SUMMARY_FILE, summary)
+        except OSError as error:
+            raise ResultsError(
+                f"{folder / SUMMARY_FILE}: cannot be written: {error.strerror}"
+            ) from None
+    return summary

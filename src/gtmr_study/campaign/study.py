@@ -1,0 +1,131 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A study in one file: who flies, against which uncertainty, how often, by which plan."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field, field_validator
+
+from gtmr_model import UncertaintySet, YamlModel
+from gtmr_nmpc import MODES, ControllerConfig, Mode
+from gtmr_sim import GustConfig, Scenario
+from gtmr_study.campaign.plans import Plan
+
+RANDOM_TRIALS = 500
+"""Trials of a random plan that does not say how many, as in the paper."""
+
+
+def _by_name(value: Any) -> Any:
+    return ControllerConfig.load("controller", value) if isinstance(value, str) else value
+
+
+NamedController = Annotated[ControllerConfig, BeforeValidator(_by_name)]
+"""A controller in a study: its fields, a preset's name, or the path of a YAML file."""
+
+
+class Study(YamlModel):
+    """A Monte-Carlo campaign; the same study is the same flights wherever it runs."""
+
+    controller: NamedController = Field(default_factory=lambda: _by_name("default"))
+    """The controller, with the vehicle, tower and helix that it believes in."""
+    modes: tuple[Mode, ...] = Field(MODES, min_length=1)
+    """Which modes fly every trial."""
+    trials: int | None = Field(None, ge=1, le=10_000_000)
+    """How many; left out: 500 if the plan is random, else every point of the plan once."""
+    seed: int = Field(0, ge=0)
+    """Seed of the campaign; with the number of a trial it gives the trial's own seed."""
+    duration_s: float = Field(50.0, ge=0.025, le=86400.0)
+    """Length of a flight [s] (Table I)."""
+    plan: Plan = Plan()
+    """Which true mismatches are flown."""
+    gust: GustConfig = GustConfig()
+    """The gusts; their bound is that of ``uncertainty``."""
+    uncertainty: UncertaintySet | None = None
+    """The box that the true mismatches come from; left out: the one the controller guards
+    against."""
+
+    @field_validator("modes")
+    @classmethod
+    def _each_once(cls, modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
+        if len(set(modes)) < len(modes):
+            raise ValueError("a mode is named twice")
+        # One order for all, so that the order on the command line does not matter.
+        return tuple(mode for mode in MODES if mode in modes)
+
+    @property
+    def true_uncertainty(self) -> UncertaintySet:
+        """The box that the true mismatches come from."""
+        return self.uncertainty if self.uncertainty is not None else self.controller.uncertainty
+
+    @property
+    def n_trials(self) -> int:
+        """How many trials the study has."""
+        if self.trials is not None:
+            return self.trials
+        points = _points(self.plan, self.true_uncertainty, self.seed)
+        return RANDOM_TRIALS if points is None else len(points)
+
+    def flights(self) -> list[tuple[int, Mode]]:
+        """Every trial in every mode: what there is to fly."""
+        return [(trial, mode) for trial in range(self.n_trials) for mode in self.modes]
+
+    def scenario(self, trial: int) -> Scenario:
+        """Make the world of a trial; it is the same for all modes.
+
+        Parameters
+        ----------
+        trial : int
+            Number of the trial, from 0.
+
+        Returns
+        -------
+        Scenario
+            With the trial's own seed and true zeta.
+        """
+        controller = self.controller
+        scenario = Scenario(
+            vehicle=controller.vehicle,
+            tower=controller.tower,
+            helix=controller.helix,
+            uncertainty=self.true_uncertainty,
+            gust=self.gust,
+            seed=trial_seed(self.seed, trial),
+        )
+        points = _points(self.plan, self.true_uncertainty, self.seed)
+        if points is None:
+            return scenario.sampled()
+        return scenario.model_copy(update={"zeta": tuple(points[trial % len(points)].tolist())})
+
+
+def trial_seed(seed: int, trial: int) -> int:
+    """Seed of one trial's gusts and sampled mismatch.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the campaign.
+    trial : int
+        Number of the trial, from 0.
+
+    Returns
+    -------
+    int
+        32 bits, mixed by NumPy's SeedSequence.
+    """
+    return int(np.random.SeedSequence([seed, trial]).generate_state(1)[0])
+
+
+@lru_cache(maxsize=4)
+def _points(plan: Plan, uncertainty: UncertaintySet, seed: int) -> NDArray[np.float64] | None:
+    return plan.points(uncertainty, seed)

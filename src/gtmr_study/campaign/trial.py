@@ -1,0 +1,150 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""One trial in one mode: a flight boiled down to a row of trials.csv."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from gtmr_model import CHANNELS, Tower
+from gtmr_nmpc import Controller, ControllerConfig, Mode
+from gtmr_sim import FlightLog, fly
+from gtmr_study.campaign.study import Study
+
+Row = dict[str, Any]
+
+FLOWN, ERROR = "flown", "error"
+"""What the status of a trial can be."""
+QUANTILES_PERCENT = tuple(2.5 + 5.0 * k for k in range(20))
+"""Which percentiles of a trial's residual a row keeps: the middles of twenty equal parts, so that
+those of all trials together are a sample of the residual pooled over all trials."""
+QUANTILE_COLUMNS = tuple(f"residual_{percent:04.1f}_m" for percent in QUANTILES_PERCENT)
+COLUMNS = (
+    "trial",
+    "mode",
+    "seed",
+    "status",
+    "error",
+    *CHANNELS,
+    "d_min_m",
+    "min_clearance_m",
+    "violated",
+    "residual_min_m",
+    *QUANTILE_COLUMNS,
+    "residual_max_m",
+    "radial_rms_m",
+    "max_slack_m",
+    "failed_steps",
+    "solve_ms_mean",
+    "solve_ms_median",
+    "solve_ms_p99",
+)
+"""Columns of trials.csv; lengths are rounded to 1e-6 m, percentiles to 1e-4 m."""
+
+
+def fly_trials(study: Study, flights: Sequence[tuple[int, Mode]]) -> list[Row]:
+    """Fly a chunk of a study; this is what a worker runs.
+
+    Parameters
+    ----------
+    study : Study
+        The campaign.
+    flights : sequence of (int, str)
+        Numbers of trials, and modes.
+
+    Returns
+    -------
+    list of dict
+        One row of trials.csv for each.
+    """
+    return [fly_trial(study, trial, mode) for trial, mode in flights]
+
+
+def fly_trial(study: Study, trial: int, mode: Mode) -> Row:
+    """Fly one trial in one mode.
+
+    Parameters
+    ----------
+    study : Study
+        The campaign.
+    trial : int
+        Number of the trial.
+    mode : str
+        Mode of the controller.
+
+    Returns
+    -------
+    dict
+        A row of trials.csv; if the flight raised, its status is ``error`` and the row says why.
+    """
+    row = empty_row(trial, mode)
+    try:
+        scenario = study.scenario(trial)
+        zeta = np.round(scenario.zeta_array, 6).tolist()
+        row.update(seed=scenario.seed, **dict(zip(CHANNELS, zeta, strict=True)))
+        controller = _controller(study.controller)
+        controller.mode = mode
+        controller.reset()
+        log = fly(scenario, controller, study.duration_s, study.controller.sampling_time_s)
+        row.update(status=FLOWN, **_figures(log, scenario.tower, study.controller.helix.offset_m))
+    except Exception as error:
+        # Whatever goes wrong in one of many trials belongs into its row, not to the campaign.
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        row.update(status=ERROR, error=reason)
+    return row
+
+
+def empty_row(trial: int, mode: Mode) -> Row:
+    """Make a row that says nothing yet but whose it is.
+
+    Parameters
+    ----------
+    trial : int
+        Number of the trial.
+    mode : str
+        Mode of the controller.
+
+    Returns
+    -------
+    dict
+    """
+    return {**dict.fromkeys(COLUMNS, ""), "trial": trial, "mode": mode}
+
+
+def _figures(log: FlightLog, tower: Tower, offset_m: float) -> Row:
+    residual = tower.min_clearance_m - log.d_T
+    if not np.isfinite(residual).all():
+        raise ValueError("the flight diverged: its clearance is not finite")
+    highest = float(residual.max())
+    percentiles = np.round(np.percentile(residual, QUANTILES_PERCENT), 4).tolist()
+    median_ms, p99_ms = np.percentile(log.solve_ms, (50, 99))
+    return {
+        "d_min_m": tower.min_clearance_m,
+        "min_clearance_m": round(float(log.d_T.min()), 6),
+        "violated": highest > 0.0,
+        "residual_min_m": round(float(residual.min()), 6),
+        **dict(zip(QUANTILE_COLUMNS, percentiles, strict=True)),
+        "residual_max_m": round(highest, 6),
+        "radial_rms_m": round(float(np.sqrt(np.mean((log.d_T - offset_m) ** 2))), 6),
+        "max_slack_m": round(float(log.slack.max()), 6),
+        "failed_steps": int(log.failed.sum()),
+        "solve_ms_mean": round(float(log.solve_ms.mean()), 4),
+        "solve_ms_median": round(float(median_ms), 4),
+        "solve_ms_p99": round(float(p99_ms), 4),
+    }
+
+
+@lru_cache(maxsize=2)
+def _controller(config: ControllerConfig) -> Controller:
+    # Building the functions of a controller takes as long as many of its steps.
+    return Controller(config)

@@ -1,0 +1,91 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The command ``gtmr bench``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+
+from gtmr_nmpc import ControllerConfig
+from gtmr_study.cli.terminal import console
+from gtmr_study.result_files import require_folder_of, write_json
+from gtmr_study.rivals.bench import (
+    CONTROLLERS,
+    machine,
+    make_rivals,
+    record_situations,
+    time_controller,
+    time_rivals,
+)
+
+COLUMNS = ("median", "p99", "p99.9", "max")
+
+
+def bench_command(
+    steps: Annotated[
+        int, typer.Option(metavar="N", min=100, help="Steps of the controller a situation.")
+    ] = 4000,
+    rival_steps: Annotated[
+        int,
+        typer.Option(metavar="N", min=0, help="Steps of general solvers a situation; 0: none."),
+    ] = 40,
+    json: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")
+    ] = None,
+) -> None:
+    """Time a controller step, and what a user would pick instead, on the same states."""
+    require_folder_of("--json", json)
+    result: dict[str, Any] = {"machine": machine(), "steps": steps, "controller": {}, "rivals": {}}
+    situations = record_situations(steps)
+    table = _table(*COLUMNS, "prepare", "feedback", "ratio")
+    for situation in situations:
+        figures = {name: time_controller(situation, m, t) for name, m, t in CONTROLLERS}
+        result["controller"][situation.name] = figures
+        nominal = figures["nominal"]["step"]["median"]
+        for name, phases in figures.items():
+            table.add_row(
+                Text(f"{situation.name}: {name}"),
+                *(f"{phases['step'][column]:.3f}" for column in COLUMNS),
+                f"{phases['prepare']['median']:.3f}",
+                f"{phases['feedback']['median']:.3f}",
+                f"{phases['step']['median'] / nominal:.2f}",
+            )
+    console.print(result["machine"])
+    console.print("Step of the controller, called from Python [ms]", markup=False)
+    console.print(table)
+    if rival_steps:
+        rivals = _table("median", "max", "ratio", "cost gap")
+        contenders = make_rivals(ControllerConfig())
+        for situation in situations:
+            rival_figures = time_rivals(situation, rival_steps, contenders)
+            result["rivals"][situation.name] = rival_figures
+            for name, figure in rival_figures.items():
+                rivals.add_row(
+                    Text(f"{situation.name}: {name}"),
+                    f"{figure['median']:.3f}",
+                    f"{figure['max']:.3f}",
+                    f"{figure['ratio']:.0f}",
+                    f"{figure['cost_gap']:.1e}",
+                )
+        console.print("Nominal step of general solvers [ms]", markup=False)
+        console.print(rivals)
+    write_json(json, result)
+
+
+def _table(*columns: str) -> Table:
+    table = Table("", box=SIMPLE_HEAD)
+    for column in columns:
+        table.add_column(column, justify="right")
+    return table

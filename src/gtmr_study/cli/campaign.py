@@ -1,0 +1,302 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Commands of the Monte-Carlo studies: ``gtmr campaign``, ``reproduce``, ``calibrate``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.progress import MofNCompleteColumn, TaskID
+from rich.table import Table
+from rich.text import Text
+
+from gtmr_sim import GUST_KINDS
+from gtmr_study.campaign.plans import PLAN_KINDS
+from gtmr_study.campaign.study import Study
+from gtmr_study.cli.terminal import complain, console, progress
+from gtmr_study.result_files import InputError, require_folder_of, write_json
+
+PAPER_SCENARIO = "paper"
+"""Preset of the paper's study."""
+
+OutOption = Annotated[
+    Path,
+    typer.Option(
+        metavar="DIR", help="Folder of results: new, empty, or of the same campaign to go on with."
+    ),
+]
+WorkersOption = Annotated[
+    int | None,
+    typer.Option(metavar="W", min=1, help="Processes on this machine.  [one per processor]"),
+]
+SchedulerOption = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="A running Dask scheduler, as tcp://host:8786."),
+]
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Write the summary as JSON.")
+]
+
+
+def campaign_command(
+    out: OutOption,
+    trials: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Trials.  [500, or every point of the plan once]"),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(metavar="K", help="Seed.  [0]")] = None,
+    modes: Annotated[
+        str | None, typer.Option(metavar="MODE,...", help="Which modes fly.  [nominal,robust]")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", help="Length of a flight [s].  [50]")
+    ] = None,
+    plan: Annotated[
+        str | None, typer.Option(metavar="|".join(PLAN_KINDS), help="Mismatches.  [random]")
+    ] = None,
+    channels: Annotated[
+        str | None,
+        typer.Option(metavar="A,B", help="Channels that a grid or one-at-a-time varies."),
+    ] = None,
+    levels: Annotated[
+        int | None, typer.Option(metavar="L", help="Values of a varied channel.  [5]")
+    ] = None,
+    gust: Annotated[
+        str | None, typer.Option(metavar="|".join(GUST_KINDS), help="Gusts.  [ou]")
+    ] = None,
+    controller: Annotated[
+        str | None,
+        typer.Option(metavar="NAME|YAML", help="Preset or file under config/controller."),
+    ] = None,
+    scenario: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|YAML",
+            help="The study as a file, or a preset under config/scenario; options win over it.",
+        ),
+    ] = None,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Fly a Monte-Carlo campaign on Dask; killed and started again, it goes on."""
+    _require_one(workers, scheduler)
+    require_folder_of("--json", json)
+    study = Study() if scenario is None else Study.load("scenario", scenario)
+    study = with_options(
+        study,
+        trials=trials,
+        seed=seed,
+        modes=None if modes is None else modes.split(","),
+        duration_s=duration,
+        controller=controller,
+        plan=_changes(
+            kind=plan,
+            channels=None if channels is None else channels.split(","),
+            levels=levels,
+        ),
+        gust=_changes(kind=gust),
+    )
+    from gtmr_study.campaign.figures import write_figures
+    from gtmr_study.campaign.run import fly_campaign
+
+    with _reported_progress() as show:
+        summary = fly_campaign(study, out, workers, scheduler, partial(show, "flights"))
+        write_figures(out)
+    write_json(json, summary)
+    print_summary(summary)
+    console.print(f"Results: {out}\nReport:  gtmr report {out}")
+
+
+def reproduce_command(
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of results: new, empty, or of the same reproduction to go on with.",
+        ),
+    ] = Path("reproduction"),
+    quick: Annotated[
+        bool, typer.Option("--quick", help="24 trials instead of 500: about a minute.")
+    ] = False,
+    seed: Annotated[int | None, typer.Option(metavar="K", help="Seed.  [0]")] = None,
+    scenario: Annotated[
+        str,
+        typer.Option(metavar="NAME|YAML", help="Preset or file under config/scenario."),
+    ] = PAPER_SCENARIO,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Reproduce the paper: 500 trials a mode, Table II, Fig. 1 and Fig. 2, and a report."""
+    _require_one(workers, scheduler)
+    require_folder_of("--json", json)
+    from gtmr_study.paper.reproduce import FULL, QUICK, REPORT_FILE, reproduce
+
+    study = with_options(Study.load("scenario", scenario), seed=seed)
+    command = f"gtmr reproduce{' --quick' if quick else ''} --seed {study.seed}"
+    if scenario != PAPER_SCENARIO:
+        command += f" --scenario {scenario}"
+    effort = QUICK if quick else FULL
+    with _reported_progress() as show:
+        results = reproduce(study, effort, out, workers, scheduler, show, command)
+    write_json(json, results)
+    print_summary(results["summary"])
+    near = results["distance"]
+    console.print(
+        f"Distance to the paper's rows, in tolerances: nominal {near['nominal']:.2f}, "
+        f"both {near['both']:.2f}\nReport:  {out / REPORT_FILE} (open it in a browser)"
+    )
+
+
+def calibrate_command(
+    out: Annotated[
+        Path,
+        typer.Option(metavar="DIR", help="Folder of a search: new, empty, or to go on with."),
+    ],
+    target: Annotated[
+        str, typer.Option(metavar="nominal|both", help="Which rows of the paper to come close to.")
+    ] = "nominal",
+    sets: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=1,
+            help="Sets of values in all, the shipped presets first.  [120, or 60 for both: some "
+            "twelve minutes on two cores]",
+        ),
+    ] = None,
+    trials: Annotated[int, typer.Option(metavar="N", min=1, help="Trials of a set.")] = 32,
+    duration: Annotated[float, typer.Option(metavar="S", help="Length of a flight [s].")] = 50.0,
+    seed: Annotated[int, typer.Option(metavar="K", help="Seed of trials and search.")] = 0,
+    workers: WorkersOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Search what the paper leaves out for what comes closest to its results."""
+    require_folder_of("--json", json)
+    try:
+        from gtmr_study.calibration import BEST, SETS, TARGETS, calibrate
+    except ModuleNotFoundError as error:
+        raise InputError(f"the search needs {error.name}: pip install {error.name}") from None
+    if target not in TARGETS:
+        raise InputError(f"--target = {target!r}: allowed is {', '.join(TARGETS)}")
+    study = with_options(Study(), trials=trials, seed=seed, duration_s=duration)
+    number = sets if sets is not None else SETS[target]
+    with _reported_progress() as show:
+        result = calibrate(
+            study,
+            target,
+            number,
+            out,
+            workers,
+            partial(show, "sets"),
+        )
+    write_json(json, result)
+    for name, value in result["parameters"].items():
+        console.print(f"{name}: {value:.4g}")
+    rows = "nominal rows" if target == "nominal" else "rows, nominal and robust"
+    presets = ", ".join(f"{name} {value:.3f}" for name, value in result["presets"].items())
+    console.print(
+        f"Distance of the best of {result['sets']} sets to the paper's {rows}: "
+        f"{result['distance']:.3f} in {trials} trials of {duration:g} s ({presets})\n"
+        f"The whole campaign with it:  gtmr reproduce --scenario {out / BEST}",
+        soft_wrap=True,
+    )
+
+
+def with_options(study: Study, **changes: Any) -> Study:
+    """Lay what the command line says over a study.
+
+    Parameters
+    ----------
+    study : Study
+        From a file, or the default.
+    **changes
+        Fields; None keeps what the study says, and so does what a dict leaves out.
+
+    Returns
+    -------
+    Study
+
+    Raises
+    ------
+    ConfigError
+        If a value is not allowed.
+    """
+    data = study.model_dump()
+    for name, value in changes.items():
+        if isinstance(value, dict):
+            data[name] = data[name] | value
+        elif value is not None:
+            data[name] = value
+    return Study.parse(data, "campaign")
+
+
+def print_summary(summary: dict[str, Any]) -> None:
+    """Print the figures of a campaign, one column a mode.
+
+    Parameters
+    ----------
+    summary : dict
+        See `summarise`.
+    """
+    flown = {mode: s for mode, s in summary.items() if s["trials"]}
+    table = Table("", *flown)
+    rows = {
+        "trials with violation": lambda s: f"{s['violations']}/{s['trials']}",
+        "least clearance [m]": lambda s: f"{s['min_clearance_m']:.3f}",
+        "median clearance [m]": lambda s: f"{s['median_clearance_m']:.3f}",
+        "residual q1, median, q3 [m]": lambda s: ", ".join(
+            f"{s['residual_m'][key]:.3f}" for key in ("q1", "median", "q3")
+        ),
+        "residual min, max [m]": lambda s: ", ".join(
+            f"{s['residual_m'][key]:.3f}" for key in ("min", "max")
+        ),
+        "solve time mean, p99 [ms]": lambda s: ", ".join(
+            f"{s['solve_ms'][key]:.2f}" for key in ("mean", "p99")
+        ),
+    }
+    for name, cell in rows.items():
+        table.add_row(Text(name), *(cell(s) for s in flown.values()))
+    console.print(table)
+    for mode, s in summary.items():
+        if s["errors"]:
+            complain(f"{mode}: {s['errors']} trials raised; their rows say why")
+
+
+def _changes(**fields: Any) -> dict[str, Any]:
+    return {name: value for name, value in fields.items() if value is not None}
+
+
+def _require_one(workers: int | None, scheduler: str | None) -> None:
+    if workers is not None and scheduler is not None:
+        raise InputError("--workers and --scheduler: give one of them")
+
+
+@contextmanager
+def _reported_progress() -> Iterator[Callable[[str, int, int], None]]:
+    """Show one progress bar for each thing done; a full disk ends the command with code 1."""
+    bars: dict[str, TaskID] = {}
+    try:
+        with progress(MofNCompleteColumn()) as bar:
+
+            def show(what: str, done: int, total: int) -> None:
+                if what not in bars:
+                    bars[what] = bar.add_task(what)
+                bar.update(bars[what], completed=done, total=total)
+
+            yield show
+    except OSError as error:
+        complain(f"{error}; finished trials are kept: the same command goes on")
+        raise typer.Exit(1) from None

@@ -1,0 +1,223 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Commands that use a bag again: ``gtmr replay`` and ``gtmr play``."""
+
+from __future__ import annotations
+
+import signal
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+
+from gtmr_model import Vehicle
+from gtmr_monitor.bag.reader import TruncatedBagWarning
+from gtmr_nmpc import MODES, ControllerConfig
+from gtmr_study.cli.terminal import complain, console, needs_ros, progress, require_choice
+from gtmr_study.result_files import InputError, require_folder_of, require_new_file, write_json
+
+if TYPE_CHECKING:
+    from gtmr_study.ros.replay import Recording
+
+RATES = (0.01, 100.0)
+"""Least and greatest rate of a playback."""
+MAX_WAIT_S = 3600.0
+"""Longest wait for listeners [s]."""
+
+BagArgument = Annotated[Path, typer.Argument(metavar="BAG", help="A bag folder or MCAP file.")]
+
+
+def replay_command(
+    bag: BagArgument,
+    mode: Annotated[
+        str | None,
+        typer.Option(metavar="|".join(MODES), help="Controller throughout.  [as recorded]"),
+    ] = None,
+    odom: Annotated[
+        str | None,
+        typer.Option(metavar="TOPIC", help="Odometry, where it is not named odom."),
+    ] = None,
+    rotors: Annotated[
+        str | None,
+        typer.Option(metavar="TOPIC", help="Rotor speeds, where not named rotor_states."),
+    ] = None,
+    controller: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|YAML",
+            help="Preset or file under config/controller.  [recorded parameters]",
+        ),
+    ] = None,
+    vehicle: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|YAML", help="Preset or file under config/vehicle.  [as recorded]"
+        ),
+    ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.html", help="Compare margins and plans, recorded and replayed."
+        ),
+    ] = None,
+    json: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")
+    ] = None,
+) -> None:
+    """Feed a bag's odometry and rotor speeds to the controller again; compare its commands."""
+    if mode is not None:
+        require_choice("--mode", mode, MODES)
+    require_new_file("--report", report)
+    require_folder_of("--json", json)
+    try:
+        from gtmr_study.ros.replay import read_recording, replay
+    except ModuleNotFoundError as error:
+        raise needs_ros("a replay", error) from None
+
+    with truncation_told():
+        recording = read_recording(bag, odom, rotors)
+    config = _config(recording, controller, vehicle)
+    with progress() as bar:
+        task = bar.add_task("replay", total=None)
+        replayed = replay(
+            recording,
+            mode,  # type: ignore[arg-type]
+            config,
+            lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    result = replayed.result()
+    if report is not None:
+        from gtmr_monitor.report.page import write_report
+
+        with warnings.catch_warnings():
+            # Told already.
+            warnings.simplefilter("ignore", TruncatedBagWarning)
+            write_report(replayed.flights(), report)
+    write_json(json, result)
+    _print_result(result)
+    if report is not None:
+        console.print(f"Report: {report}")
+
+
+def play_command(
+    bag: BagArgument,
+    rate: Annotated[
+        float, typer.Option(metavar="R", help="How many times as fast as recorded.")
+    ] = 1.0,
+    loop: Annotated[bool, typer.Option(help="Begin again at the end, until Ctrl-C.")] = False,
+    wait: Annotated[
+        float, typer.Option(metavar="S", help="How long to wait for listeners, at most [s].")
+    ] = 5.0,
+    everything: Annotated[
+        bool,
+        typer.Option(
+            "--all", help="Every topic, for viewers; else odometry, rotor speeds and /clock."
+        ),
+    ] = False,
+) -> None:
+    """Publish a bag's messages with their own timing and /clock, without rosbag2."""
+    low, high = RATES
+    if not low <= rate <= high:
+        raise InputError(f"--rate = {rate:g}: allowed is {low:g} to {high:g}")
+    if not 0.0 <= wait <= MAX_WAIT_S:
+        raise InputError(f"--wait = {wait:g}: allowed is 0 to {MAX_WAIT_S:g} s")
+    try:
+        from gtmr_study.ros.play import play, read_playlist
+    except ModuleNotFoundError as error:
+        raise needs_ros("playing a bag", error) from None
+
+    with truncation_told():
+        playlist = read_playlist(bag, everything)
+    console.print(
+        f"Playing {', '.join(sorted(playlist.types))}: {playlist.duration_s:.1f} s at "
+        f"{rate:g} times the recorded speed; Ctrl-C ends it."
+    )
+    # The usual end of a playback.
+    stop = Event()
+    before = signal.signal(signal.SIGINT, lambda *_: stop.set())
+    try:
+        with progress() as bar, warnings.catch_warnings():
+            warnings.simplefilter("ignore", TruncatedBagWarning)
+            task = bar.add_task("play", total=playlist.duration_s)
+            notes = play(
+                playlist,
+                rate,
+                loop,
+                wait,
+                lambda into_s: bar.update(task, completed=into_s),
+                stop,
+            )
+    finally:
+        signal.signal(signal.SIGINT, before)
+    for note in notes:
+        complain(note)
+
+
+def _config(
+    recording: Recording, controller: str | None, vehicle: str | None
+) -> ControllerConfig | None:
+    """Choose the problem that the options ask for; None is the recorded one."""
+    from gtmr_study.ros.replay.parameters import RecordedParameters
+
+    if controller is None and vehicle is None:
+        return None
+    if controller is not None:
+        config = ControllerConfig.load("controller", controller)
+    else:
+        config = RecordedParameters(recording).config
+    if vehicle is not None:
+        config = config.model_copy(update={"vehicle": Vehicle.load("vehicle", vehicle)})
+    return config
+
+
+@contextmanager
+def truncation_told() -> Iterator[None]:
+    """Turn Python's warning of a bag without an end into a line for the user."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", TruncatedBagWarning)
+        yield
+    for warning in caught:
+        complain(f"warning: {warning.message}")
+
+
+def _print_result(result: dict[str, Any]) -> None:
+    table = Table("", "recorded", "replayed", box=SIMPLE_HEAD)
+    for name, key in (
+        ("largest margin [m]", "largest_margin_m"),
+        ("largest residual at plans' end [m]", "largest_foreseen_residual_m"),
+    ):
+        table.add_row(Text(name), *(_metres(result[who][key]) for who in ("recorded", "replayed")))
+    table.add_row(Text("steps without a solution"), "", str(result["replayed"]["failed_steps"]))
+    table.add_row(
+        Text("solve time median, p99 [ms]"),
+        "",
+        ", ".join(f"{result['replayed']['solve_ms'][key]:.2f}" for key in ("median", "p99")),
+    )
+    console.print(table)
+    if result["samples"]:
+        console.print(
+            f"{result['mode']}: {result['samples']} commands compared; they differ by at most "
+            f"{result['max_abs_command_difference']:.3g} {result['unit']}, at "
+            f"{result['largest_difference_at_s']:.3f} s."
+        )
+    else:
+        console.print(f"{result['mode']}: {result['steps']} steps, no command to compare with.")
+    for note in result["notes"]:
+        console.print(f"Note: {note}", soft_wrap=True, highlight=False, markup=False)
+
+
+def _metres(value: float | None) -> str:
+    return "not recorded" if value is None else f"{value:.3f}"

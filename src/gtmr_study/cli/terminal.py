@@ -1,0 +1,136 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What the commands say: results, progress, and what is wrong in one clear line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from typing import Any, cast
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+
+from gtmr_model import ConfigError
+from gtmr_monitor.bag.format import BagError
+from gtmr_study.result_files import InputError
+
+BAD_INPUT = 2
+"""Exit code of bad input."""
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
+UsageError: type[Exception] = typer.BadParameter.__bases__[0]
+"""What wrong options raise; from typer, since it may carry its own copy of click."""
+
+console = Console()
+"""For results and progress."""
+_errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
+
+
+def complain(reason: object) -> None:
+    """Say on stderr, in one line, what is wrong.
+
+    Parameters
+    ----------
+    reason : object
+        Printed as it is, after the program's name.
+    """
+    _errors.print(f"gtmr: {reason}")
+
+
+def progress(amount: ProgressColumn | None = None) -> Progress:
+    """Make a progress bar that shows on a terminal only, and is gone when the work is done.
+
+    Parameters
+    ----------
+    amount : rich.progress.ProgressColumn, optional
+        How much is done, in figures; percent if left out.
+
+    Returns
+    -------
+    rich.progress.Progress
+        To be used as a context manager.
+    """
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        amount or TextColumn("{task.percentage:3.0f} %"),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
+
+
+def exit_code_of(command: Callable[[], Any]) -> int:
+    """Run a command; what it refuses is said in one line.
+
+    Parameters
+    ----------
+    command : callable
+        Returns its exit code, or None for success.
+
+    Returns
+    -------
+    int
+        The command's own, 2 for bad input, or 130 after Ctrl-C.
+    """
+    try:
+        # typer makes an exit code of its own of Ctrl-C in a command.
+        code = command() or 0
+    except (ConfigError, InputError, BagError) as error:
+        complain(error)
+        return BAD_INPUT
+    except UsageError as error:
+        complain(cast(Any, error).format_message())
+        return BAD_INPUT
+    except (typer.Abort, KeyboardInterrupt):
+        code = INTERRUPTED
+    if code == INTERRUPTED:
+        complain("interrupted")
+    return code
+
+
+def require_choice(option: str, value: str, allowed: Collection[str]) -> None:
+    """Check that a value is one of those there are.
+
+    Parameters
+    ----------
+    option : str
+        The option that gave the value, for the message.
+    value : str
+        What was given.
+    allowed : collection of str
+        What may be given.
+
+    Raises
+    ------
+    InputError
+        If it is none of them.
+    """
+    if value not in allowed:
+        raise InputError(f"{option} = {value!r}: allowed is {', '.join(allowed)}")
+
+
+def needs_ros(what: str, error: ModuleNotFoundError) -> InputError:
+    """Make the refusal of what cannot be done without ROS.
+
+    Parameters
+    ----------
+    what : str
+        What was asked for.
+    error : ModuleNotFoundError
+        Why it cannot be done.
+
+    Returns
+    -------
+    InputError
+        To be raised.
+    """
+    return InputError(f"{what} needs ROS 2, but there is no {error.name}: make setup")

@@ -1,0 +1,112 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What the paper reports (Table II, Fig. 2), and how far a campaign is from it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from gtmr_nmpc import Mode
+
+TRIALS = 500
+"""Realizations a mode in Table II."""
+WIND_BIAS_N = (0.6, 0.4, 0.0)
+"""w_b of Fig. 1, world frame [N]."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """What the paper says of one mode."""
+
+    violations: int
+    """Trials with a violation, of 500 (Table II)."""
+    min_clearance_m: float
+    """Table II [m]."""
+    solve_ms: float
+    """Average solve time in MATLAB (Table II) [ms]."""
+    residual_m: dict[str, float]
+    """Whiskers and quartiles of s, as they are drawn in Fig. 2 [m]."""
+
+
+PAPER: dict[Mode, Row] = {
+    "nominal": Row(
+        violations=230,
+        min_clearance_m=0.182,
+        solve_ms=9.4,
+        residual_m={"min": -0.25, "q1": -0.22, "median": -0.15, "q3": -0.08, "max": 0.018},
+    ),
+    "robust": Row(
+        violations=0,
+        min_clearance_m=0.364,
+        solve_ms=18.7,
+        residual_m={"min": -0.28, "q1": -0.24, "median": -0.19, "q3": -0.16, "max": -0.114},
+    ),
+}
+"""The paper's rows by mode."""
+MEDIAN_CLEARANCE_M = 0.40
+"""Of the robust controller, in the text of Sec. VII [m]."""
+
+RATE_TOLERANCE = 40 / TRIALS
+"""What counts as one unit of distance in the share of violating trials [-]."""
+CLEARANCE_TOLERANCE_M = 0.01
+"""Likewise, in the least clearance [m]."""
+RESIDUAL_TOLERANCE_M = 0.02
+"""Likewise, in a quartile or whisker [m]."""
+
+
+def deviations(summary: dict[str, Any], mode: Mode) -> dict[str, float]:
+    """Compare a mode's figures with the paper's, in units of the tolerances.
+
+    Parameters
+    ----------
+    summary : dict
+        Of one mode, see `summarise`.
+    mode : str
+        Which row of the paper.
+
+    Returns
+    -------
+    dict
+        Ours minus the paper's, over the tolerance [-]: share of violating trials, least clearance,
+        whiskers and quartiles of the residual. Infinite if no trial flew.
+    """
+    row = PAPER[mode]
+    if not summary["trials"]:
+        return {"violations": math.inf}
+    rate = summary["violations"] / summary["trials"]
+    return {
+        "violations": (rate - row.violations / TRIALS) / RATE_TOLERANCE,
+        "min_clearance": (summary["min_clearance_m"] - row.min_clearance_m)
+        / CLEARANCE_TOLERANCE_M,
+        **{
+            f"residual_{key}": (summary["residual_m"][key] - value) / RESIDUAL_TOLERANCE_M
+            for key, value in row.residual_m.items()
+        },
+    }
+
+
+def distance(summary: dict[str, dict[str, Any]], modes: tuple[Mode, ...]) -> float:
+    """Root mean square of the deviations of some rows.
+
+    Parameters
+    ----------
+    summary : dict
+        Of a campaign, see `summarise`.
+    modes : tuple of str
+        Which rows count.
+
+    Returns
+    -------
+    float
+        0 if all figures are the paper's; 1 if they are off by their tolerances on average [-].
+    """
+    squares = [d**2 for mode in modes for d in deviations(summary[mode], mode).values()]
+    return math.sqrt(sum(squares) / len(squares))

@@ -1,0 +1,208 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The report of a reproduction: one HTML page, and its tables in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from gtmr_model import CHANNELS
+from gtmr_monitor.report import look
+from gtmr_monitor.report.drawing import inline_svg
+from gtmr_nmpc import MODES
+from gtmr_study.campaign.figures import Campaign
+from gtmr_study.campaign.report import campaign_section, page, signed, table
+from gtmr_study.paper.claims import PAPER
+from gtmr_study.paper.claims_table import Claim, markdown_table
+
+Table = list[list[str]]
+"""Titles of the columns, then the rows; plain text."""
+
+_CAPTIONS = {
+    "table-ii": "The paper's solve times are those of MATLAB on another machine.",
+    "fig-1": "Under a wind bias of [0.6, 0.4, 0.0] N. The paper gives this figure as a drawing, "
+    "without numbers to compare with.",
+    "fig-2": "The paper's boxes (grey) are drawn from the coordinates of its figure.",
+    "first-order": "Plans of the robust controller flown open loop: the change of the clearance "
+    "over the margin that should bound it. Above the dashed line the margin is exceeded.",
+}
+
+
+def write_page(
+    out_html: Path,
+    campaign: Campaign,
+    claims: Sequence[Claim],
+    results: dict[str, Any],
+    drawn: dict[str, Callable[[], Any]],
+) -> None:
+    """Write the page.
+
+    Parameters
+    ----------
+    out_html : pathlib.Path
+        The file.
+    campaign : Campaign
+        The paper's campaign, flown here.
+    claims : sequence of Claim
+        What became of the paper's claims.
+    results : dict
+        Content of reproduction.json, see `reproduce`.
+    drawn : dict
+        How every figure of the paper is drawn, by name.
+    """
+    figures = "\n".join(
+        f'<figure id="{name}">{inline_svg(draw)}</figure>\n<p>{_CAPTIONS[name]}</p>'
+        for name, draw in drawn.items()
+    )
+    tried = [["claim", "paper", "here", "command", "verdict"]]
+    tried += [[c.claim, c.paper, c.here, c.command, c.verdict] for c in claims]
+    sections = "\n".join(
+        f"<h2>{title}</h2>\n<p>{text}</p>\n{_html(rows)}"
+        for title, text, rows in _sections(results)
+    )
+    body = f"{_html(tried)}\n{figures}\n{sections}\n{campaign_section(campaign)}"
+    out_html.write_text(page("Reproduction of the paper", body), encoding="utf-8")
+
+
+def sensitivity_markdown(results: dict[str, Any]) -> str:
+    """Write what the results depend on.
+
+    Parameters
+    ----------
+    results : dict
+        Content of reproduction.json, see `reproduce`.
+
+    Returns
+    -------
+    str
+    """
+    return "\n".join(
+        f"## {title}\n\n{text}\n\n{markdown_table(rows)}"
+        for title, text, rows in _sections(results)
+    )
+
+
+def one_value_at_a_time(results: dict[str, Any]) -> Table:
+    """Lay out how a change of each value that the paper leaves out moves both rows.
+
+    Parameters
+    ----------
+    results : dict
+        Content of reproduction.json, see `reproduce`.
+
+    Returns
+    -------
+    list of list of str
+    """
+    heads = ["changed"]
+    for mode, distance in zip(MODES, ("nominal", "both"), strict=True):
+        heads += [f"{mode}: {what}" for what in ("violating", "least [m]", "q1, median, q3 [m]")]
+        heads.append(f"distance, {distance}")
+    rows = [heads]
+    for variant in results["variants"]:
+        cells = [variant["name"]]
+        for mode, distance in zip(MODES, ("nominal", "both"), strict=True):
+            cells += _of_mode(variant["summary"][mode])
+            cells.append(f"{variant['distance'][distance]:.2f}")
+        rows.append(cells)
+    return rows
+
+
+def size_of_the_tightening(results: dict[str, Any]) -> Table:
+    """Lay out the parts of the margin, and how close robust flights come with it.
+
+    Parameters
+    ----------
+    results : dict
+        Content of reproduction.json, see `reproduce`.
+
+    Returns
+    -------
+    list of list of str
+        One row for every reading of the paper, and for every eps_s.
+    """
+    parts = [*CHANNELS, "eps_s", "gust", "total"]
+    labels = [{**look.MARGIN_LABELS, "total": "α_N"}[part] for part in parts]
+    rows = [["margin", *labels, "least [m]", "median [m]"]]
+    for variant in results["variants"]:
+        if variant["parameter"] not in ("", "eps_s_m"):
+            continue
+        flown = variant["summary"]["robust"]
+        margins = [f"{1e3 * variant['margins_m'][part]:.1f}" for part in parts]
+        clearances = [f"{flown[key]:.3f}" for key in ("min_clearance_m", "median_clearance_m")]
+        rows.append([variant["name"], *margins, *clearances])
+    return rows
+
+
+def alpha_by_speed(results: dict[str, Any]) -> Table:
+    """Lay out the tightening at the last stage against the helix's speed.
+
+    Parameters
+    ----------
+    results : dict
+        Content of reproduction.json, see `reproduce`.
+
+    Returns
+    -------
+    list of list of str
+    """
+    rows = results["alpha_by_helix_speed"]
+    return [
+        ["helix speed [m/s]", *(f"{row['speed_m_s']:g}" for row in rows)],
+        ["α_N [mm]", *(f"{1e3 * row['alpha_n_m']:.1f}" for row in rows)],
+    ]
+
+
+def _sections(results: dict[str, Any]) -> list[tuple[str, str, Table]]:
+    found = []
+    if results["variants"]:
+        flown = results["variants"][0]["summary"]["nominal"]["trials"]
+        found = [
+            (
+                "One change at a time",
+                f"{flown} trials a mode with the same mismatch and gusts, in shorter flights than "
+                "the campaign's. Distance is the root mean square of the deviations from the "
+                "paper, in tolerances: from its nominal rows, and from both modes' rows.",
+                one_value_at_a_time(results),
+            ),
+            (
+                "Size of the tightening",
+                "Parts of the margin at the last stage [mm], averaged over a turn round the "
+                "tower, and the clearance of robust flights with it. The paper's robust row asks "
+                f"for a least clearance of {PAPER['robust'].min_clearance_m:g} m and a median of "
+                "0.39 m.",
+                size_of_the_tightening(results),
+            ),
+        ]
+    return [
+        *found,
+        (
+            "Tightening and speed of the helix",
+            "Margin at the last stage, averaged over a turn round the tower.",
+            alpha_by_speed(results),
+        ),
+    ]
+
+
+def _of_mode(summary: dict[str, Any]) -> list[str]:
+    quartiles = ", ".join(signed(summary["residual_m"][key]) for key in ("q1", "median", "q3"))
+    return [
+        f"{summary['violations']} of {summary['trials']}",
+        f"{summary['min_clearance_m']:.3f}",
+        quartiles,
+    ]
+
+
+def _html(rows: Table) -> str:
+    (_, *heads), *rest = rows
+    cells = [(escape(row[0]), [escape(cell) for cell in row[1:]]) for row in rest]
+    return f'<div class="wide">{table(heads, cells)}</div>'

@@ -1,0 +1,274 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The OCP written down as a nonlinear program, for general solvers.
+
+It shares only the equations of motion with the controller: cost, shooting and constraints are
+stated anew, so that solvers of this program check the controller, and are what it is measured
+against.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from gtmr_model import N_ZETA
+from gtmr_model.dynamics import (
+    ATTITUDE,
+    POSITION,
+    RATE,
+    ROTORS,
+    VELOCITY,
+    rk4_step,
+    state_derivative,
+    symbols,
+)
+from gtmr_nmpc import ControllerConfig
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A solution of the program."""
+
+    x: Array
+    """States, shape (N + 1, 12 + N_p)."""
+    u: Array
+    """Rotor accelerations [Hz/s], shape (N, N_p)."""
+    slack: Array
+    """Violation of the tightened clearance at stages 1..N [m], shape (N,)."""
+    cost: float
+    """Objective, penalty included."""
+
+
+class InspectionNlp:
+    """Eq. (5) with given margins, or eq. (15) itself, with the clearance softened exactly.
+
+    Parameters
+    ----------
+    config : ControllerConfig
+        The problem.
+    solver : str
+        A CasADi NLP solver, for example ``ipopt`` or ``sqpmethod``.
+    options : dict
+        Options of the solver.
+    margins_given : bool
+        Whether the margins are data (held at given values) or eq. (12) in terms of the plan.
+    condensed : bool
+        Whether the states are eliminated (single shooting), as dense QP solvers want it.
+    """
+
+    def __init__(
+        self,
+        config: ControllerConfig,
+        solver: str,
+        options: dict[str, Any],
+        margins_given: bool = True,
+        condensed: bool = False,
+    ) -> None:
+        self.config = config
+        n, vehicle = config.horizon, config.vehicle
+        u = ca.MX.sym("u", vehicle.n_rotors, n)
+        x0 = ca.MX.sym("x0", vehicle.n_x if condensed else 0)
+        x = _rollout(config, x0, u) if condensed else ca.MX.sym("x", vehicle.n_x, n + 1)
+        slack = ca.MX.sym("slack", n)
+        reference = ca.MX.sym("reference", 10, n + 1)
+        margin = ca.MX.sym("margin", n) if margins_given else ca.MX.sym("margin", 0)
+        gaps, alpha = _shooting(config, x, u, margins_given)
+        if condensed:
+            gaps = ca.vec(x[ROTORS, 1:])
+        rho = ca.sqrt(x[0, 1:] ** 2 + x[1, 1:] ** 2).T
+        clearance = rho - config.tower.radius_m
+        tightened = config.tower.min_clearance_m - clearance + (margin if margins_given else alpha)
+        cost = _cost(config, x, u, reference)
+        cost += config.slack_l1 * ca.sum1(slack) + config.slack_l2 * ca.sumsqr(slack)
+        # The stubs of CasADi know programs on SX only.
+        program: Any = {
+            "x": ca.veccat(u, slack) if condensed else ca.veccat(x, u, slack),
+            "p": ca.veccat(x0, reference, margin),
+            "f": cost,
+            "g": ca.vertcat(gaps, tightened - slack),
+        }
+        self._solver = ca.nlpsol("nlp", solver, program, options)
+        self._cost = (
+            ca.Function("cost", [x, u, slack, reference], [cost]) if not condensed else None
+        )
+        self._condensed = condensed
+        self._states = ca.Function("states", [x0, u], [x]) if condensed else None
+
+    def solve(self, t: float, x0: Array, alpha: Array | None, guess: Plan | None) -> Plan:
+        """Solve for one measured state.
+
+        Parameters
+        ----------
+        t : float
+            Time of stage 0 [s].
+        x0 : NDArray, shape (12 + N_p,)
+            Measured state; its yaw near the helix's.
+        alpha : NDArray, shape (N + 1,), or None
+            Margins [m]; None where they are terms of the plan.
+        guess : Plan or None
+            Where to start; None for the state held over the horizon.
+
+        Returns
+        -------
+        Plan
+
+        Raises
+        ------
+        RuntimeError
+            If the solver says that it failed, other than by its iteration limit.
+        """
+        vehicle, n = self.config.vehicle, self.config.horizon
+        reference = self._reference(t)
+        start = guess or Plan(
+            np.tile(x0, (n + 1, 1)), np.zeros((n, vehicle.n_rotors)), np.zeros(n), np.inf
+        )
+        lower = np.full((n + 1, vehicle.n_x), -np.inf)
+        upper = np.full((n + 1, vehicle.n_x), np.inf)
+        lower[1:, ROTORS], upper[1:, ROTORS] = (
+            vehicle.min_rotor_speed_hz,
+            vehicle.max_rotor_speed_hz,
+        )
+        lower[0] = upper[0] = x0
+        limit = np.full(n * vehicle.n_rotors, vehicle.max_rotor_acceleration_hz_s)
+        rest = np.r_[start.u.ravel(), start.slack]
+        lower_rest, upper_rest = np.r_[-limit, np.zeros(n)], np.r_[limit, np.full(n, np.inf)]
+        data = np.r_[reference.ravel(), alpha[1:] if alpha is not None else []]
+        if self._condensed:
+            result = self._solver(
+                x0=rest,
+                p=np.r_[x0, data],
+                lbx=lower_rest,
+                ubx=upper_rest,
+                lbg=np.r_[lower[1:, ROTORS].ravel(), np.full(n, -np.inf)],
+                ubg=np.r_[upper[1:, ROTORS].ravel(), np.zeros(n)],
+            )
+        else:
+            result = self._solver(
+                x0=np.r_[start.x.ravel(), rest],
+                p=data,
+                lbx=np.r_[lower.ravel(), lower_rest],
+                ubx=np.r_[upper.ravel(), upper_rest],
+                lbg=np.r_[np.zeros(n * vehicle.n_x), np.full(n, -np.inf)],
+                ubg=0.0,
+            )
+        stats = self._solver.stats()
+        if not stats["success"] and "iter" not in stats["return_status"].lower():
+            raise RuntimeError(stats["return_status"])
+        flat = np.asarray(result["x"]).ravel()
+        states, inputs = (n + 1) * vehicle.n_x, n * vehicle.n_rotors
+        if self._states is not None:
+            u_plan = flat[:inputs].reshape(n, -1)
+            x_plan = np.asarray(self._states(x0, u_plan.T)).T
+        else:
+            x_plan = flat[:states].reshape(n + 1, -1)
+            u_plan = flat[states : states + inputs].reshape(n, -1)
+        return Plan(x=x_plan, u=u_plan, slack=flat[-n:], cost=float(result["f"]))
+
+    def cost(self, t: float, x: Array, u: Array, slack: Array) -> float:
+        """Evaluate the objective at a plan; not for condensed programs.
+
+        Parameters
+        ----------
+        t : float
+            Time of stage 0 [s].
+        x : NDArray, shape (N + 1, 12 + N_p)
+            States.
+        u : NDArray, shape (N, N_p)
+            Rotor accelerations [Hz/s].
+        slack : NDArray, shape (N,)
+            Slack of stages 1..N [m].
+
+        Returns
+        -------
+        float
+        """
+        if self._cost is None:
+            raise ValueError("a condensed program has no states to evaluate its cost at")
+        return float(self._cost(x.T, u.T, slack, self._reference(t).T))
+
+    def _reference(self, t: float) -> Array:
+        times = t + self.config.sampling_time_s * np.arange(self.config.horizon + 1)
+        at = self.config.helix.at(times, self.config.tower)
+        return np.hstack([at.position, at.velocity, at.acceleration, at.yaw[:, None]])
+
+
+def _rollout(config: ControllerConfig, x0: ca.MX, u: ca.MX) -> ca.MX:
+    """States over the horizon as functions of the first one and the inputs."""
+    vehicle = config.vehicle
+    xs, us, zs, _ = symbols(vehicle)
+    no_gust = ca.DM.zeros(3)
+    x_next = rk4_step(
+        xs, config.sampling_time_s, lambda x: state_derivative(x, us, zs, no_gust, vehicle)
+    )
+    discrete = ca.Function("F", [xs, us, zs], [x_next])
+    states = [x0]
+    for i in range(config.horizon):
+        states.append(discrete(states[-1], u[:, i], ca.DM.zeros(N_ZETA)))
+    return ca.horzcat(*states)
+
+
+def _shooting(
+    config: ControllerConfig, x: ca.MX, u: ca.MX, margins_given: bool
+) -> tuple[ca.MX, ca.MX]:
+    """Shooting gaps, and alpha_p + alpha_g of stages 1..N where the program carries them."""
+    vehicle, step_s = config.vehicle, config.sampling_time_s
+    xs, us, zs, _ = symbols(vehicle)
+    no_gust = ca.DM.zeros(3)
+    x_next = rk4_step(xs, step_s, lambda x: state_derivative(x, us, zs, no_gust, vehicle))
+    discrete = ca.Function("F", [xs, us, zs], [x_next])
+    jacobians = ca.Function("dF", [xs, us, zs], [ca.jacobian(x_next, s) for s in (xs, zs)])
+    nominal = ca.DM.zeros(N_ZETA)
+    min_mass_kg = (1.0 - config.uncertainty.mass) * vehicle.mass_kg
+    gaps, alpha = [], []
+    pi: Any = ca.DM.zeros(vehicle.n_x, N_ZETA)
+    for i in range(config.horizon):
+        gaps.append(discrete(x[:, i], u[:, i], nominal) - x[:, i + 1])
+        if margins_given:
+            continue
+        a, e = jacobians(x[:, i], u[:, i], nominal)
+        pi = a @ pi + e
+        p = x[POSITION, i + 1]
+        rho = ca.sqrt(p[0] ** 2 + p[1] ** 2)
+        pi_y = ca.horzcat(-p[0] / rho, -p[1] / rho) @ pi[:2, :]
+        gust = 0.5 * config.uncertainty.gust_n / min_mass_kg * (step_s * (i + 1)) ** 2
+        parametric = ca.fabs(pi_y) @ ca.DM(config.uncertainty.half_widths) + config.eps_s_m
+        alpha.append(parametric + gust)
+    return ca.vertcat(*gaps), ca.vertcat(*alpha)
+
+
+def _cost(config: ControllerConfig, x: ca.MX, u: ca.MX, reference: ca.MX) -> ca.MX:
+    """Cost of eq. (6) with this project's terms on attitude and rate; no penalty on slacks."""
+    w, vehicle = config.weights, config.vehicle
+    xs, us, zs, ws = symbols(vehicle)
+    dynamics = ca.Function("f", [xs, us, zs, ws], [state_derivative(xs, us, zs, ws, vehicle)])
+    yaw_rate = config.helix.at(0.0, config.tower).yaw_rate
+
+    def weighted(weights: tuple[float, ...], error: ca.MX) -> ca.MX:
+        return ca.dot(ca.DM(weights), error * error)
+
+    cost = ca.MX(0.0)
+    for i in range(config.horizon):
+        r, xi = reference[:, i], x[:, i]
+        rate = dynamics(xi, u[:, i], ca.DM.zeros(N_ZETA), ca.DM.zeros(3))
+        attitude = xi[ATTITUDE]
+        cost += weighted(w.position, xi[POSITION] - r[0:3])
+        cost += weighted(w.velocity, xi[VELOCITY] - r[3:6])
+        cost += weighted(w.acceleration, rate[VELOCITY] - r[6:9])
+        cost += w.roll_pitch * ca.sumsqr(attitude[:2]) + w.yaw * (attitude[2] - r[9]) ** 2
+        cost += w.rate * ca.sumsqr(xi[RATE] - ca.DM([0.0, 0.0, yaw_rate]))
+        cost += w.rotor_acceleration * ca.sumsqr(u[:, i])
+    last = config.horizon
+    return cost + weighted(w.terminal_position, x[POSITION, last] - reference[0:3, last])

@@ -1,0 +1,213 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The demo: simulator, controller and monitor as processes of a real ROS graph, once a mode."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Range
+
+from gtmr_msgs_py import topics
+from gtmr_msgs_py.start.environment import ros_environment
+from gtmr_msgs_py.wire import stamps
+
+if TYPE_CHECKING:
+    from gtmr_study.ros.live import LiveView
+
+WIND_BIAS_N = (0.6, 0.4, 0.0)
+"""w_b of Fig. 1, world frame [N]."""
+STOP_TIMEOUT_S = 20.0
+"""How long a node may take to end after SIGINT [s]."""
+STALL_TIMEOUT_S = 30.0
+"""How long simulated time may stand still before the demo gives up [s]."""
+
+OnProgress = Callable[[float, float], None]
+"""Told the simulated time [s] and the clearance [m] while flying."""
+
+
+class DemoError(RuntimeError):
+    """A node failed, or the flight does not go on; the message says where its log is."""
+
+
+def fly_in_ros(
+    mode: str,
+    duration_s: float,
+    folder: Path,
+    on_progress: OnProgress,
+    live: LiveView | None = None,
+) -> Path:
+    """Fly the helix once, in real time where the machine keeps up, with one process a node.
+
+    Parameters
+    ----------
+    mode : str
+        Of the controller: ``nominal`` or ``robust``.
+    duration_s : float
+        Length of the flight [s].
+    folder : pathlib.Path
+        New or empty; receives the bag and a log of each node.
+    on_progress : callable
+        Called while flying.
+    live : LiveView, optional
+        Shows the flight.
+
+    Returns
+    -------
+    pathlib.Path
+        The bag.
+
+    Raises
+    ------
+    DemoError
+        If a node ends with an error, or simulated time stands still.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    # Another graph on this machine must not hear this one, nor the other way round.
+    domain_id = 1 + os.getpid() % 100
+    bag = folder / "bag"
+    zeta = ", ".join(str(float(value)) for value in (*(0.0,) * 6, *WIND_BIAS_N))
+    with _nodes(domain_id, folder) as start:
+        start("gtmr_monitor.node", bag=str(bag))
+        start("gtmr_nmpc.node", mode=mode, recorders="1")
+        # In lockstep the flight is the same on a busy machine, only slower.
+        sim = start(
+            "gtmr_sim.node",
+            zeta=f"[{zeta}]",
+            duration_s=str(float(duration_s)),
+            recorders="1",
+            lockstep="true",
+        )
+        with _onlooker(domain_id, mode, on_progress, live) as look:
+            look(sim)
+    return bag
+
+
+@dataclass
+class _NodeProcess:
+    name: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    def require_well(self) -> None:
+        code = self.process.poll()
+        if code not in (None, 0):
+            last = self.log.read_text(errors="replace").strip().rpartition("\n")[2]
+            raise DemoError(f"{self.name} ended with exit code {code}: {last} (see {self.log})")
+
+    def stop(self) -> None:
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            try:
+                self.process.wait(STOP_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+
+
+@contextmanager
+def _nodes(domain_id: int, folder: Path) -> Iterator[Callable[..., list[_NodeProcess]]]:
+    """Start nodes one after the other, and end them all, the recorder last."""
+    started: list[_NodeProcess] = []
+    environment = ros_environment(domain_id)
+
+    def start(module: str, **parameters: str) -> list[_NodeProcess]:
+        name = module.partition(".")[0]
+        log = folder / f"{name}.log"
+        assigned = [f"{key}:={value}" for key, value in parameters.items()]
+        arguments = [part for each in assigned for part in ("-p", each)]
+        with log.open("wb") as output:
+            # A session of its own keeps the terminal's Ctrl-C for the demo, which ends the
+            # nodes in an order that leaves the bag whole.
+            process = subprocess.Popen(
+                [sys.executable, "-m", module, "--ros-args", *arguments],
+                env=environment,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        started.append(_NodeProcess(name, process, log))
+        return started
+
+    try:
+        yield start
+    finally:
+        for node in reversed(started):
+            node.stop()
+    for node in started:
+        node.require_well()
+
+
+@dataclass
+class _View:
+    """What the onlooker has seen last."""
+
+    on_progress: OnProgress
+    time_s: float = 0.0
+    changed_at: float = field(default_factory=time.monotonic)
+
+    def on_clock(self, message: Clock) -> None:
+        time_s = stamps.seconds(stamps.decode(message.clock))
+        if time_s > self.time_s:
+            self.time_s, self.changed_at = time_s, time.monotonic()
+
+    def on_clearance(self, message: Range) -> None:
+        self.on_progress(self.time_s, message.range)
+
+
+@contextmanager
+def _onlooker(
+    domain_id: int, mode: str, on_progress: OnProgress, live: LiveView | None
+) -> Iterator[Callable[[list[_NodeProcess]], None]]:
+    """Watch a flight until the simulator, the node started last, ends."""
+    # The profile is read when the first participant of a process is made.
+    os.environ.update(ros_environment(domain_id))
+    context = Context()
+    rclpy.init(context=context, domain_id=domain_id)
+    node = rclpy.create_node("demo", context=context)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    view = _View(on_progress)
+    topics.CLOCK.subscription(node, view.on_clock)
+    topics.CLEARANCE.subscription(node, view.on_clearance)
+    refresh = None if live is None else live.watch(node, mode)
+
+    def look(nodes: list[_NodeProcess]) -> None:
+        view.changed_at = time.monotonic()
+        while nodes[-1].process.poll() is None:
+            executor.spin_once(timeout_sec=0.1)
+            if refresh is not None:
+                refresh()
+            for each in nodes:
+                each.require_well()
+            if time.monotonic() - view.changed_at > STALL_TIMEOUT_S:
+                raise DemoError(
+                    f"simulated time stands still at {view.time_s:g} s (see {nodes[-1].log})"
+                )
+        nodes[-1].require_well()
+
+    try:
+        yield look
+    finally:
+        node.destroy_node()
+        executor.shutdown()
+        rclpy.shutdown(context=context)

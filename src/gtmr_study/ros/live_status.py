@@ -1,0 +1,159 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What the live view says in words and numbers, as HTML."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from gtmr_monitor.report import look
+from gtmr_msgs_py.messages import markers
+
+
+@dataclass
+class Standing:
+    """How a flight has gone so far."""
+
+    time_s: float = 0.0
+    """Of the last sample [s]."""
+    residual_m: float = math.nan
+    """The last residual s = d_min - d_T [m]."""
+    worst_m: float = -math.inf
+    """The largest residual [m]."""
+
+    def add(self, time_s: float, residual_m: float) -> None:
+        """Note a sample.
+
+        Parameters
+        ----------
+        time_s : float
+            Since the start of the flight [s].
+        residual_m : float
+            s = d_min - d_T [m].
+        """
+        self.time_s, self.residual_m = time_s, residual_m
+        self.worst_m = max(self.worst_m, residual_m)
+
+    @property
+    def flown(self) -> bool:
+        """Whether there is a sample yet."""
+        return math.isfinite(self.residual_m)
+
+    @property
+    def violated(self) -> bool:
+        """Whether the vehicle was ever too close."""
+        return self.worst_m > 0.0
+
+
+def status(
+    standings: Mapping[str, Standing],
+    mode: str,
+    margin_m: float,
+    min_clearance_m: float,
+    duration_s: float,
+) -> str:
+    """Say how the flights go.
+
+    Parameters
+    ----------
+    standings : mapping from str to Standing
+        Of every mode, in the order in which they are flown.
+    mode : str
+        What is flown now.
+    margin_m : float
+        The largest tightening of the plan, alpha_p + alpha_g [m].
+    min_clearance_m : float
+        d_min [m].
+    duration_s : float
+        Length of a flight [s].
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    now = standings[mode]
+    share = 100.0 * min(now.time_s / duration_s, 1.0)
+    rows = "".join(
+        f'<tr><th scope="row">{_swatch(look.MODE_COLOURS[name])}{name}</th>'
+        f"{_row(standing, min_clearance_m)}</tr>"
+        for name, standing in standings.items()
+    )
+    return f"""{_STYLE}<div class="gtmr">
+<div class="head"><strong>{_swatch(look.MODE_COLOURS[mode])}{mode} controller</strong>
+<span>{now.time_s:.1f} of {duration_s:g} s</span></div>
+<div class="bar"><div style="width:{share:.1f}%;background:{look.MODE_COLOURS[mode]}"></div></div>
+<div class="tiles">
+<div><b class="{"bad" if now.residual_m > 0.0 else ""}">{_metres(min_clearance_m, now)}</b>
+clearance</div>
+<div><b>{min_clearance_m:.2f} m</b>least allowed</div>
+<div><b>{margin_m:.3f} m</b>tightening</div>
+</div>
+<table><thead><tr><td></td><th scope="col">least clearance</th><th scope="col">too close</th></tr>
+</thead><tbody>{rows}</tbody></table></div>"""
+
+
+def _row(standing: Standing, min_clearance_m: float) -> str:
+    if not standing.flown:
+        return "<td>to be flown</td><td></td>"
+    verdict = '<strong class="bad">yes</strong>' if standing.violated else "no"
+    return f"<td>{min_clearance_m - standing.worst_m:.3f} m</td><td>{verdict}</td>"
+
+
+def _metres(min_clearance_m: float, standing: Standing) -> str:
+    return f"{min_clearance_m - standing.residual_m:.2f} m" if standing.flown else "…"
+
+
+def _swatch(colour: str, opacity: float = 1.0) -> str:
+    return f'<i style="background:{colour};opacity:{opacity:g}"></i>'
+
+
+_STYLE = """<style>
+.gtmr { font: 14px/1.45 system-ui, "Segoe UI", Arial, sans-serif; padding: 2px 16px 2px 6px;
+  font-variant-numeric: tabular-nums; }
+.gtmr i { display: inline-block; width: .75em; height: .75em; border-radius: 2px;
+  margin-right: .5em; }
+.gtmr .head { display: flex; justify-content: space-between; font-size: 16px; }
+.gtmr .bar { height: 4px; border-radius: 2px; background: #e3e3e3; margin: 6px 0 12px; }
+.gtmr .bar div { height: 100%; border-radius: 2px; }
+.gtmr .tiles { display: grid; grid-template-columns: repeat(3, 1fr); gap: 8px;
+  color: #6b6b6b; font-size: 12px; }
+.gtmr .tiles b { display: block; font-size: 22px; font-weight: 600; color: #1a1a1a; }
+.gtmr table { width: 100%; border-collapse: collapse; margin: 12px 0 4px; }
+.gtmr th, .gtmr td { text-align: left; font-weight: 400; padding: 3px 0; }
+.gtmr thead th { color: #6b6b6b; font-size: 12px; }
+.gtmr tbody tr { border-top: 1px solid #e3e3e3; }
+.gtmr .bad, .gtmr .tiles b.bad { color: #a33c00; }
+.gtmr ul { display: grid; grid-template-columns: 1fr 1fr; gap: 2px 12px; list-style: none;
+  margin: 0; padding: 0; font-size: 13px; }
+</style>"""
+
+
+def _css(color: markers.Color) -> str:
+    return f"rgb({255 * color.r:.0f},{255 * color.g:.0f},{255 * color.b:.0f})"
+
+
+_KEYS = (
+    ("tower", look.TOWER, 1.0),
+    ("reference", look.QUIET, 1.0),
+    ("keep-out shell", _css(markers.FORBIDDEN), 0.5),
+    ("thrust", _css(markers.THRUST), 1.0),
+    ("tightened shells, plan", look.MODE_COLOURS["robust"], 1.0),
+    ("clockwise rotors", _css(markers.CLOCKWISE), 1.0),
+    ("the same, nominal", look.MODE_COLOURS["nominal"], 1.0),
+    ("counter-clockwise", _css(markers.COUNTER_CLOCKWISE), 1.0),
+)
+LEGEND = (
+    f'{_STYLE}<div class="gtmr"><ul>'
+    + "".join(f"<li>{_swatch(colour, opacity)}{name}</li>" for name, colour, opacity in _KEYS)
+    + "</ul></div>"
+)
+"""What is what in the scene, as HTML."""

@@ -1,0 +1,15 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Feeds a recorded flight to the controller again, and compares what it commands."""
+
+from gtmr_study.ros.replay.recording import Recording, read_recording
+from gtmr_study.ros.replay.result import Replay, Step
+from gtmr_study.ros.replay.run import replay
+
+__all__ = ["Recording", "Replay", "Step", "read_recording", "replay"]

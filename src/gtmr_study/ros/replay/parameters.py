@@ -1,0 +1,114 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The controller's parameters as a bag tells them, from moment to moment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from gtmr_model import ConfigError, YamlModel
+from gtmr_msgs_py.wire import stamps
+from gtmr_nmpc import MODES, ControllerConfig, Mode
+from gtmr_study.ros.replay.recording import Recording
+
+
+class RecordedParameters:
+    """The controller's problem and mode as a recorded flight goes on.
+
+    Parameters
+    ----------
+    recording : Recording
+        The flight.
+    mode : str, optional
+        To be taken throughout, whatever is recorded.
+    config : ControllerConfig, optional
+        To be taken throughout, whatever is recorded.
+
+    Raises
+    ------
+    ConfigError
+        If the recorded parameters make no configuration, as where the vehicle is a file that is
+        gone.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        mode: Mode | None = None,
+        config: ControllerConfig | None = None,
+    ) -> None:
+        self.source = f"{recording.path}: parameters of {recording.node}"
+        """What to name in errors."""
+        self._mode, self._config = mode, config
+        self._values = recording.first_parameters
+        self._changes = list(recording.changes)
+        self.notes = []
+        """What a user should know, one sentence each."""
+        if config is None and not self._values:
+            self.notes.append(f"{recording.node} and its parameters are not in the bag: defaults")
+        if mode is None and "mode" not in self._values:
+            self.notes.append("the controller's mode is not in the bag: robust")
+        self._build()
+
+    @property
+    def max_stamp_difference_ns(self) -> int:
+        """How far apart the node takes odometry and rotor speeds together [ns]."""
+        return stamps.nanoseconds(float(self._values.get("max_stamp_difference_s", 0.0)))
+
+    def advance(self, time_ns: int) -> bool:
+        """Take over what was changed before an instant.
+
+        Parameters
+        ----------
+        time_ns : int
+            Unix time by the controller's clock [ns].
+
+        Returns
+        -------
+        bool
+            Whether anything was.
+
+        Raises
+        ------
+        ConfigError
+            If the parameters make no configuration any more.
+        """
+        values = dict(self._values)
+        while self._changes and self._changes[0].sent_ns < time_ns:
+            values |= self._changes.pop(0).values
+        if values == self._values:
+            return False
+        self._values = values
+        self._build()
+        return True
+
+    def _build(self) -> None:
+        self.config = self._config or ControllerConfig.parse(
+            _nested(self._values, ControllerConfig), self.source
+        )
+        """The problem now; parameters that are not recorded have their defaults."""
+        mode = self._mode or self._values.get("mode", "robust")
+        if mode not in MODES:
+            raise ConfigError(f"{self.source}: mode = {mode!r}: allowed is {' or '.join(MODES)}")
+        self.mode: Mode = mode
+        """The controller's mode now."""
+
+
+def _nested(values: Mapping[str, Any], model: type[YamlModel], above: str = "") -> dict[str, Any]:
+    """Pick a model's fields from dotted names; the node has more parameters than the model."""
+    data: dict[str, Any] = {}
+    for field, info in model.model_fields.items():
+        name, kind = above + field, info.annotation
+        if name in values:
+            data[field] = values[name]
+        elif isinstance(kind, type) and issubclass(kind, YamlModel):
+            nested = _nested(values, kind, f"{name}.")
+            data |= {field: nested} if nested else {}
+    return data

@@ -1,0 +1,199 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What a replay gave: its steps, their comparison with what was recorded, flights for a report."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gtmr_monitor.bag.flight import read_flight
+from gtmr_monitor.flight import Flight, Margins, Predictions
+from gtmr_monitor.residual import solve_statistics
+from gtmr_msgs_py.wire import stamps
+from gtmr_nmpc import ControllerConfig, Mode
+from gtmr_study.ros.replay.recording import Recording
+
+Array = NDArray[np.float64]
+
+UNIT = "Hz/s"
+"""Of commands, and of their differences."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the replayed controller, and what is compared with it."""
+
+    stamp_ns: int
+    """Stamp of its odometry [ns]."""
+    mode: Mode
+    """Of the controller."""
+    rotor_source: str
+    """Where the rotor speeds came from, see ``SOURCES``."""
+    by_channel: Array
+    """The terms of alpha_p, eq. (12) [m], shape (N + 1, 9)."""
+    eps_s: float
+    """The constant term of eq. (12) [m]."""
+    alpha_g: Array
+    """Gust margin, eq. (13) [m], shape (N + 1,)."""
+    slack: Array
+    """Violation of the tightened clearance [m], shape (N + 1,)."""
+    foreseen: float
+    """Residual s at the end of the plan [m]."""
+    failed: bool
+    """Whether the QP solver gave up."""
+    solve_s: float
+    """Preparation and feedback, wall time [s]."""
+    difference: float | None
+    """Largest difference of a rotor acceleration anywhere in the plan from the recorded command
+    [Hz/s]; None if no command was recorded that it could be compared with."""
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A recorded flight as the controller answers it now."""
+
+    recording: Recording
+    """What was fed to it."""
+    config: ControllerConfig
+    """The problem at the first step."""
+    steps: list[Step]
+    """In order; at least one."""
+    notes: list[str]
+    """What a user should know, one sentence each."""
+
+    @property
+    def modes(self) -> tuple[tuple[float, Mode], ...]:
+        """From when on [s], since the first odometry, which mode planned."""
+        begins = self.steps[:1]
+        begins += [step for before, step in pairwise(self.steps) if before.mode != step.mode]
+        return tuple((self._since_start(step.stamp_ns), step.mode) for step in begins)
+
+    @property
+    def compared(self) -> list[Step]:
+        """The steps that were compared with a recorded command."""
+        return [step for step in self.steps if step.difference is not None]
+
+    def result(self) -> dict[str, Any]:
+        """Sum up as plain data.
+
+        Returns
+        -------
+        dict
+            ``samples`` commands were compared; ``max_abs_command_difference`` is over all rotor
+            accelerations of all stages of their plans, in ``unit``; None without samples.
+            ``largest_foreseen_residual_m`` is s at the end of the plans.
+        """
+        compared = self.compared
+        worst = max(compared, key=lambda step: step.difference or 0.0, default=None)
+        solve_ms = [1e3 * step.solve_s for step in self.steps]
+        recorded = self._recorded_predictions()
+        return {
+            "bag": str(self.recording.path),
+            "mode": " → ".join(mode for _, mode in self.modes),
+            "modes": [{"from_s": at, "mode": mode} for at, mode in self.modes],
+            "samples": len(compared),
+            "max_abs_command_difference": None if worst is None else worst.difference,
+            "unit": UNIT,
+            "largest_difference_at_s": (
+                None if worst is None else self._since_start(worst.stamp_ns)
+            ),
+            "steps": len(self.steps),
+            "recorded": {
+                "largest_margin_m": _largest(
+                    [margins.alpha_p + margins.alpha_g for margins in self.recording.margins]
+                ),
+                "largest_foreseen_residual_m": _largest([recorded.residual]),
+            },
+            "replayed": {
+                "largest_margin_m": _largest(
+                    [
+                        step.by_channel.sum(axis=1) + step.eps_s + step.alpha_g
+                        for step in self.steps
+                    ]
+                ),
+                "largest_foreseen_residual_m": _largest([self._predictions().residual]),
+                "largest_slack_m": _largest([step.slack for step in self.steps]),
+                "failed_steps": sum(step.failed for step in self.steps),
+                "solve_ms": solve_statistics(solve_ms),
+            },
+            "rotor_speeds": dict(Counter(step.rotor_source for step in self.steps)),
+            "notes": self.notes,
+        }
+
+    def flights(self) -> list[Flight]:
+        """Give the recorded flight and the replayed one, for a report that compares them.
+
+        Returns
+        -------
+        list of Flight
+            The same motion twice; margins, predictions and solve times are each its own.
+
+        Raises
+        ------
+        BagError
+            If the flight cannot be read from the bag.
+        """
+        recording, steps = self.recording, self.steps
+        flown = read_flight(recording.path, recording.namespace, recording.renamed)
+        if not recording.changes:
+            flown = replace(flown, tower=self.config.tower, helix=self.config.helix)
+        t = self._times()
+        margins = Margins(
+            t,
+            np.array([step.by_channel for step in steps]),
+            np.array([np.full(step.alpha_g.size, step.eps_s) for step in steps]),
+            np.array([step.alpha_g for step in steps]),
+            np.array([step.slack for step in steps]),
+        )
+        replayed = replace(
+            flown,
+            margins=margins,
+            t_solve=t,
+            solve_ms=np.array([1e3 * step.solve_s for step in steps]),
+            modes=self.modes,
+            deadline_ms=1e3 * self.config.sampling_time_s,
+            tower=self.config.tower,
+            helix=self.config.helix,
+            predictions=self._predictions(),
+            replayed=True,
+        )
+        return [replace(flown, predictions=self._recorded_predictions()), replayed]
+
+    def _predictions(self) -> Predictions:
+        ahead_s = self.config.horizon * self.config.sampling_time_s
+        return Predictions(
+            self._times() + ahead_s, np.array([step.foreseen for step in self.steps])
+        )
+
+    def _recorded_predictions(self) -> Predictions:
+        ends = self.recording.plan_ends
+        positions = np.array([position for _, position in ends]).reshape(-1, 3)
+        return Predictions(
+            np.array([self._since_start(time_ns) for time_ns, _ in ends]),
+            self.config.tower.residual(positions),
+        )
+
+    def _times(self) -> Array:
+        return np.array([self._since_start(step.stamp_ns) for step in self.steps])
+
+    def _since_start(self, time_ns: int) -> float:
+        return stamps.seconds(time_ns - self.recording.states[0].stamp_ns)
+
+
+def _largest(values: list[Array]) -> float | None:
+    """Largest number of all; None if there is none, or it is not finite and so no JSON."""
+    largest = max((float(value.max()) for value in values if value.size), default=math.nan)
+    return largest if math.isfinite(largest) else None

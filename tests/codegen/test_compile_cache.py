@@ -1,0 +1,156 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The cache of compiled code: shared between processes, trusted only as far as it deserves."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from gtmr_codegen.library import CompileError, load_library
+from gtmr_model import Helix, Tower, Vehicle
+from gtmr_nmpc import Controller
+from gtmr_sim import Scenario, fly, plant
+
+SOURCES = {"answer.c": "int answer(void);\nint answer(void)\n{\n    return 42;\n}\n"}
+LOAD = f"""
+from gtmr_codegen.library import load_library
+print(load_library("a test", {SOURCES!r}, {{}}).answer())
+"""
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """Give an empty cache of its own; the folder itself is made when needed."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "gtmr"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Give a cache in which another process has made the entry."""
+    folder = tmp_path_factory.mktemp("made")
+    environment = os.environ | {"XDG_CACHE_HOME": str(folder)}
+    subprocess.run([sys.executable, "-c", LOAD], check=True, capture_output=True, env=environment)
+    return folder / "gtmr"
+
+
+def answer():
+    return load_library("a test", SOURCES, {}).answer()
+
+
+def test_compiled_once_with_one_line_on_stderr(cache, capfd):
+    assert [answer(), answer()] == [42, 42]
+    assert capfd.readouterr().err.splitlines() == [
+        "gtmr: compiling a test, once for this machine ... done in 0 s"
+    ]
+    assert len(list(cache.iterdir())) == 1
+    assert cache.stat().st_mode & 0o077 == 0
+
+
+def test_processes_that_start_at_once_all_get_it(cache):
+    processes = [
+        subprocess.Popen([sys.executable, "-c", LOAD], stdout=subprocess.PIPE, text=True)
+        for _ in range(4)
+    ]
+    assert [process.communicate(timeout=60)[0] for process in processes] == ["42\n"] * 4
+    assert len(list(cache.glob("*.so"))) == 1
+
+
+@pytest.mark.parametrize("harm", ["truncated", "exchanged", "writable by others", "a link"])
+def test_an_entry_that_is_corrupt_or_foreign_is_made_again(made, cache, tmp_path, harm):
+    shutil.copytree(made, cache)
+    (entry,) = cache.glob("*.so")
+    good = entry.read_bytes()
+    match harm:
+        case "truncated":
+            entry.write_bytes(good[:100])
+        case "exchanged":
+            entry.write_bytes(good.replace(b"\x2a\x00\x00\x00", b"\x2b\x00\x00\x00"))
+        case "writable by others":
+            entry.chmod(0o666)
+        case "a link":
+            elsewhere = tmp_path / "elsewhere.so"
+            elsewhere.write_bytes(good)
+            entry.unlink()
+            entry.symlink_to(elsewhere)
+    done = subprocess.run([sys.executable, "-c", LOAD], check=True, capture_output=True, text=True)
+    assert done.stdout == "42\n"
+    assert "compiling" in done.stderr
+    (entry,) = cache.glob("*.so")
+    assert entry.read_bytes() == good
+    assert not entry.is_symlink()
+    assert entry.stat().st_mode & 0o077 == 0
+
+
+def test_a_cache_that_others_may_write_is_not_used(cache):
+    cache.mkdir()
+    cache.chmod(0o777)
+    assert answer() == 42
+    assert not list(cache.iterdir())
+
+
+def test_other_sources_and_flags_are_other_entries(cache):
+    other = {"answer.c": SOURCES["answer.c"].replace("42", "WHAT")}
+    assert answer() == 42
+    for what in (1, 2):
+        assert load_library("a test", other, {"answer.c": (f"-DWHAT={what}",)}).answer() == what
+    assert len(list(cache.iterdir())) == 3
+
+
+def test_an_error_of_the_compiler_is_one_line(cache):
+    with pytest.raises(CompileError, match=r"failed: .*answer\.c.*error") as raised:
+        load_library("a test", {"answer.c": "int answer(void) { return nonsense; }"}, {})
+    assert "\n" not in str(raised.value)
+    assert not list(cache.glob("*.so"))
+
+
+def test_a_named_compiler_that_is_not_there_is_an_error(cache, monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler -O2")
+    with pytest.raises(CompileError, match=r"no C compiler found .*no-such-compiler"):
+        answer()
+
+
+FLY = """
+import json
+from gtmr_nmpc import Controller
+from gtmr_sim import Scenario, fly
+log = fly(Scenario(), Controller(), 0.25)
+print(json.dumps([log.x.tolist(), log.u.tolist()]))
+"""
+
+
+def test_without_a_compiler_all_works_with_one_notice_and_the_same_answers(tmp_path):
+    nothing = os.environ | {"CC": "no-such-compiler", "XDG_CACHE_HOME": str(tmp_path)}
+    interpreted = subprocess.run(
+        [sys.executable, "-c", FLY], check=True, capture_output=True, text=True, env=nothing
+    )
+    assert interpreted.stderr.count("\n") == 1
+    assert "no C compiler found" in interpreted.stderr
+    compiled = fly(Scenario(), Controller(), 0.25)
+    x, u = json.loads(interpreted.stdout)
+    np.testing.assert_allclose(compiled.x, x, atol=1e-9)
+    np.testing.assert_allclose(compiled.u, u, atol=1e-9)
+
+
+def test_the_compiled_plant_is_the_interpreted_one_bit_by_bit():
+    vehicle = Vehicle.paper()
+    x = Helix().initial_state(Tower(), vehicle)
+    rng = np.random.default_rng(0)
+    step = plant._plant_step(vehicle, 1e-3)
+    compiled = plant._compiled(step)
+    for _ in range(20):
+        u, zeta, w_g = rng.normal(0, 300, 6), rng.normal(0, 0.1, 9), rng.normal(0, 0.3, 3)
+        expected = plant._interpreted(step, x, u, zeta, w_g, 25)
+        x = compiled(x, u, zeta, w_g, 25)
+        np.testing.assert_array_equal(x, expected)

@@ -1,0 +1,348 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The monitor as a process in a real ROS graph."""
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+import warnings
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from nav_msgs.msg import Odometry  # noqa: E402
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402
+from rclpy.node import Node  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from rosbags.highlevel import AnyReader  # noqa: E402
+from support.loop_messages import odometry_message  # noqa: E402
+
+from gtmr_model import Tower  # noqa: E402
+from gtmr_monitor.bag import flight as bag_flight  # noqa: E402
+from gtmr_monitor.bag.flight import read_flight  # noqa: E402
+from gtmr_monitor.bag.reader import TruncatedBagWarning, read_messages  # noqa: E402
+from gtmr_msgs_py import topics  # noqa: E402
+from gtmr_msgs_py.node import diagnostics  # noqa: E402
+from gtmr_msgs_py.start.environment import ros_environment  # noqa: E402
+
+DOMAIN_ID = 1 + os.getpid() % 100
+TIMEOUT_S = 20.0
+TOWER = Tower()
+# What it tells of itself once a second is waited for by most tests.
+MONITOR = """
+import sys
+from gtmr_monitor import node
+node.DIAGNOSTICS_PERIOD_S = 0.1
+sys.exit(node.main())
+"""
+ZETA = [0.1, 0.0, -0.05, 0.0, 0.0, 0.2, 0.6, 0.4, 0.0]
+
+
+class Graph:
+    """A vehicle, in the sim's place, and whoever listens to the monitor."""
+
+    def __init__(self, namespace=""):
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=DOMAIN_ID)
+        self.node = Node("sim", context=self.context, namespace=namespace)
+        self.node.declare_parameter("seed", 7)
+        self.node.declare_parameter("zeta", ZETA)
+        self.node.declare_parameter("gust.kind", "ou")
+        self.odometry = topics.ODOM.publisher(self.node)
+        self.clock = topics.CLOCK.publisher(self.node)
+        self.residuals, self.statuses = [], []
+        topics.CLEARANCE_RESIDUAL.subscription(
+            self.node, lambda message: self.residuals.append(message.data)
+        )
+        topics.DIAGNOSTICS.subscription(
+            self.node, lambda message: self.statuses.append(message.status[0])
+        )
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+
+    def wait_until(self, condition):
+        deadline = time.monotonic() + TIMEOUT_S
+        while not condition():
+            assert time.monotonic() < deadline, "timed out"
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def await_monitor(self):
+        self.wait_until(
+            lambda: (
+                self.odometry.get_subscription_count() >= 1
+                and self.node.count_publishers(self.residual_topic) >= 1
+                and any(status.name.endswith("monitor: clearance") for status in self.statuses)
+            )
+        )
+
+    @property
+    def residual_topic(self):
+        return self.node.resolve_topic_name(topics.CLEARANCE_RESIDUAL.name)
+
+    def publish(self, k, position=None):
+        x = np.zeros(12)
+        angle = 0.05 * k
+        radius = 1.2 + 0.1 * math.sin(0.3 * k)
+        x[:3] = radius * math.cos(angle), radius * math.sin(angle), 2.0 + 0.01 * k
+        if position is not None:
+            x[:3] = position
+        x[5] = angle + math.pi
+        message = odometry_message(k * 25_000_000, x)
+        self.odometry.publish(message)
+
+    def close(self):
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@pytest.fixture(autouse=True)
+def fast_discovery(monkeypatch):
+    for name, value in ros_environment(DOMAIN_ID).items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setenv("ROS_PYTHON_CHECK_FIELDS", "1")
+
+
+@pytest.fixture
+def graph():
+    graph = Graph()
+    yield graph
+    graph.close()
+
+
+@contextmanager
+def monitor(*parameters, namespace=""):
+    remap = ["-r", f"__ns:={namespace}"] if namespace else []
+    process = subprocess.Popen(
+        [sys.executable, "-c", MONITOR, "--ros-args", *remap]
+        + [argument for parameter in parameters for argument in ("-p", parameter)],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def figures(graph):
+    """What the monitor has told of itself so far."""
+    return [
+        diagnostics.decode(status)
+        for status in graph.statuses
+        if status.name == "monitor: clearance"
+    ]
+
+
+def seeds_in(bag, node):
+    """Seeds of a node that a bag tells of while it is being written."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TruncatedBagWarning)
+        events = [m.decode() for m in read_messages(bag) if m.topic == "/parameter_events"]
+    told = [(*e.new_parameters, *e.changed_parameters) for e in events if e.node == node]
+    return [p.value.integer_value for parameters in told for p in parameters if p.name == "seed"]
+
+
+def stop(process, how=signal.SIGINT):
+    process.send_signal(how)
+    _, errors = process.communicate(timeout=TIMEOUT_S)
+    assert process.returncode == 0, errors
+    assert "Traceback" not in errors
+    return errors
+
+
+def test_the_recorded_residual_is_that_of_the_recorded_odometry(graph, tmp_path):
+    bag = tmp_path / "bag"
+    with monitor(f"bag:={bag}") as process:
+        graph.await_monitor()
+        for k in range(80):
+            graph.publish(k)
+        graph.wait_until(lambda: len(graph.residuals) == 80)
+        stop(process)
+
+    with AnyReader([bag]) as reader:
+        recorded = {topic: [] for topic in reader.topics}
+        for connection, _, data in reader.messages():
+            message = reader.deserialize(data, connection.msgtype)
+            recorded[connection.topic].append(message)
+    poses = [m.pose.pose.position for m in recorded["/odom"]]
+    expected = [0.2 - (math.hypot(p.x, p.y) - 1.0) for p in poses]
+    assert [m.data for m in recorded["/clearance_residual"]] == pytest.approx(expected, abs=1e-12)
+    assert graph.residuals == [m.data for m in recorded["/clearance_residual"]]
+    assert [m.range for m in recorded["/clearance"]] == pytest.approx(
+        [0.2 - s for s in expected], abs=1e-6
+    )
+    assert [m.min_range for m in recorded["/clearance"]] == pytest.approx([0.2] * 80)
+    stamps = [(m.header.stamp.sec, m.header.stamp.nanosec) for m in recorded["/odom"]]
+    assert stamps == [(m.header.stamp.sec, m.header.stamp.nanosec) for m in recorded["/clearance"]]
+
+
+def test_reads_back_as_a_flight_with_the_parameters_of_all_nodes(graph, tmp_path):
+    bag = tmp_path / "bag"
+    with monitor(f"bag:={bag}", "tower.min_clearance_m:=0.25") as process:
+        graph.await_monitor()
+        for k in range(30):
+            graph.publish(k)
+        graph.wait_until(lambda: len(graph.residuals) == 30)
+        graph.node.set_parameters([Parameter("seed", value=8)])
+        graph.wait_until(lambda: 8 in seeds_in(bag, "/sim"))
+        stop(process, signal.SIGTERM)
+
+    flight = read_flight(bag)
+
+    assert flight.t == pytest.approx(0.025 * np.arange(30))
+    assert flight.tower == Tower(min_clearance_m=0.25)
+    assert flight.recorded_residual == pytest.approx(flight.residual, abs=1e-12)
+    assert flight.heading_error == pytest.approx(np.zeros(30), abs=1e-9)
+    assert flight.zeta == pytest.approx(ZETA)
+    assert (flight.gust, flight.seed) == ("ou", 8)
+    assert flight.parameters["/monitor"]["bag"] == str(bag)
+    assert not flight.truncated
+
+
+def test_in_a_namespace_it_watches_the_vehicle_of_that_namespace(tmp_path):
+    graph = Graph("/hex1")
+    bag = tmp_path / "bag"
+    try:
+        with monitor(f"bag:={bag}", namespace="/hex1") as process:
+            graph.await_monitor()
+            graph.publish(0)
+            graph.wait_until(lambda: len(graph.residuals) == 1)
+            graph.wait_until(lambda: 7 in seeds_in(bag, "/hex1/sim"))
+            stop(process)
+    finally:
+        graph.close()
+
+    flight = read_flight(bag)
+    assert flight.p.shape == (1, 3)
+    assert flight.seed == 7
+
+
+def test_killed_it_leaves_a_bag_that_lacks_less_than_a_second(graph, tmp_path):
+    with monitor(f"bag:={tmp_path / 'bag'}") as process:
+        graph.await_monitor()
+        sent = 60
+        start = time.monotonic()
+        for k in range(sent):
+            due = start + k / 40.0
+            graph.wait_until(lambda due=due: time.monotonic() >= due)
+            graph.publish(k)
+        graph.wait_until(lambda: len(graph.residuals) == sent)
+        process.kill()
+        process.wait(TIMEOUT_S)
+
+    with pytest.warns(TruncatedBagWarning):
+        flight = read_flight(tmp_path / "bag")
+
+    assert flight.truncated
+    assert sent - flight.t.size < 40
+    assert flight.seed == 7
+
+
+def test_a_pose_that_is_no_number_is_told_and_does_not_stop_it(graph):
+    with monitor() as process:
+        graph.await_monitor()
+        broken = Odometry()
+        broken.pose.pose.position.x = math.nan
+        graph.odometry.publish(broken)
+        graph.publish(1)
+        graph.wait_until(lambda: any(f["unusable_odometry"] for f in figures(graph)))
+        assert len(graph.residuals) == 1
+        assert "nan" in stop(process)
+
+
+def test_a_violation_shows_in_the_diagnostics(graph):
+    with monitor() as process:
+        graph.await_monitor()
+        for k, distance in enumerate((1.3, 1.15, 1.3)):
+            graph.publish(k, position=(distance, 0.0, 2.0))
+        graph.wait_until(lambda: any(f["samples"] == 3 for f in figures(graph)))
+        stop(process)
+
+    last = figures(graph)[-1]
+    assert (last["violations"], last["recording"]) == (1, False)
+    assert last["worst_residual_m"] == pytest.approx(0.05)
+    assert last["residual_m"] == pytest.approx(-0.1)
+
+
+def test_time_that_goes_back_begins_another_flight(graph):
+    with monitor() as process:
+        graph.await_monitor()
+        graph.publish(10, position=(1.15, 0.0, 2.0))
+        graph.wait_until(lambda: any(f["violations"] == 1 for f in figures(graph)))
+        for k in range(3):
+            graph.publish(k, position=(1.3, 0.0, 2.0))
+        graph.wait_until(lambda: figures(graph)[-1]["samples"] == 3)
+        stop(process)
+
+    assert figures(graph)[-1]["violations"] == 0
+
+
+def test_an_estimator_that_publishes_best_effort_is_heard_and_recorded(graph, tmp_path):
+    bag = tmp_path / "bag"
+    offered = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    graph.node.destroy_publisher(graph.odometry)
+    with monitor(f"bag:={bag}") as process:
+        graph.odometry = graph.node.create_publisher(Odometry, "odom", offered)
+        graph.await_monitor()
+        for k in range(5):
+            graph.publish(k)
+        graph.wait_until(lambda: len(graph.residuals) == 5)
+        assert "best effort" in stop(process)
+
+    assert len(read_flight(bag).t) == 5
+
+
+def test_several_vehicles_go_into_one_bag(graph, tmp_path):
+    bag = tmp_path / "bag"
+    hex1 = Graph("/hex1")
+    try:
+        with monitor(f"bag:={bag}", "namespaces:=['', hex1]") as process:
+            graph.await_monitor()
+            hex1.wait_until(lambda: hex1.odometry.get_subscription_count() == 1)
+            hex1.wait_until(lambda: hex1.node.count_publishers(hex1.residual_topic) == 1)
+            graph.publish(0, position=(1.4, 0.0, 2.0))
+            hex1.publish(1, position=(1.5, 0.0, 2.0))
+            graph.wait_until(lambda: len(graph.residuals) == 1)
+            hex1.wait_until(lambda: len(hex1.residuals) == 1)
+            stop(process)
+    finally:
+        hex1.close()
+
+    assert graph.residuals == pytest.approx([-0.2])
+    assert read_flight(bag, "/hex1").recorded_residual == pytest.approx([-0.3])
+    assert read_flight(bag, "").recorded_residual == pytest.approx([-0.2])
+
+
+@pytest.mark.parametrize("parameter", ["bag:={folder}", "tower.radius_m:=-1.0"])
+def test_a_parameter_that_cannot_be_used_is_told_in_one_line(tmp_path, parameter):
+    (tmp_path / "notes.txt").write_text("mine")
+    with monitor(parameter.format(folder=tmp_path)) as process:
+        _, errors = process.communicate(timeout=TIMEOUT_S)
+
+    assert process.returncode == 2
+    assert len(errors.strip().splitlines()) == 1
+    assert parameter.partition(":=")[0] in errors
+    assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_reading_without_ros_uses_the_names_of_the_contract():
+    contract = {topic.name: topic.type_name for topic in topics.TOPICS}
+
+    assert len(bag_flight._TYPES) == 6
+    assert bag_flight._TYPES.items() <= contract.items()

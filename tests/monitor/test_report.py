@@ -1,0 +1,239 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A report says what the flights say, in one file that needs nothing else."""
+
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gtmr_model import Helix, Tower
+from gtmr_monitor.bag.format import BagError
+from gtmr_monitor.flight import Flight, Margins
+from gtmr_monitor.report import look
+from gtmr_monitor.report.browser import CHARTS
+from gtmr_monitor.report.page import CAPTIONS, write_report
+from gtmr_monitor.report.paper import FIGURES
+
+T = 0.025 * np.arange(400)
+STAGES = 21
+MARGIN_M = 0.002
+
+
+def flight(mode, clearance_m, **changes):
+    """A flight at a clearance that swings by 5 cm."""
+    radius = 1.0 + clearance_m + 0.05 * np.cos(T)
+    angle = 0.4 * T
+    p = np.stack([radius * np.cos(angle), radius * np.sin(angle), 2.0 + 0.05 * T], axis=1)
+    eta = np.stack([0.01 * np.sin(T), 0.01 * np.cos(T), angle + np.pi], axis=1)
+    tightening = MARGIN_M if mode == "robust" else 0.0
+    stages = np.full((T.size, STAGES), tightening)
+    fields = {
+        "name": f"bag-{mode}",
+        "source": Path(f"bag-{mode}"),
+        "t": T,
+        "p": p,
+        "eta": eta,
+        "recorded_residual": 1.2 - radius,
+        "t_rotors": T,
+        "rotor_speed_hz": 60.0 + np.outer(np.sin(T), np.arange(6)),
+        "margins": Margins(
+            T, np.full((T.size, STAGES, 9), tightening), stages, stages, 0.0 * stages
+        ),
+        "t_solve": T,
+        "solve_ms": 5.0 + 25.0 * (np.arange(T.size) % 100 == 0),
+        "modes": ((0.0, mode),),
+        "deadline_ms": 25.0,
+        "tower": Tower(),
+        "helix": Helix(),
+        "zeta": (0.1, 0.0, 0.0, 0.0, -0.05, 0.0, 0.6, 0.4, 0.0),
+        "gust": "ou",
+        "seed": 42,
+    }
+    return Flight(**fields | changes)
+
+
+NOMINAL = flight("nominal", clearance_m=0.24)
+ROBUST = flight("robust", clearance_m=0.30)
+
+
+class Page(HTMLParser):
+    """What a browser would do with the page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.loaded, self.ids, self.cells, self.scripts = [], set(), [], 0
+        self._in_cell = self._in_style = False
+        self.style = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        attributes = dict(attributes)
+        self.ids.add(attributes.get("id"))
+        self.scripts += tag == "script"
+        self._in_style = tag == "style"
+        self.loaded += [v for k, v in attributes.items() if k in ("src", "srcset", "href", "data")]
+        if tag in ("td", "th"):
+            self._in_cell = True
+            self.cells.append("")
+
+    def handle_endtag(self, tag):
+        if tag in ("td", "th"):
+            self._in_cell = False
+
+    def handle_data(self, data):
+        if self._in_cell:
+            self.cells[-1] += data
+        if self._in_style:
+            self.style += data
+
+    def row(self, title):
+        start = self.cells.index(title)
+        return self.cells[start + 1 : start + 3]
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    return write_report([NOMINAL, ROBUST], tmp_path_factory.mktemp("out") / "new" / "report.html")
+
+
+@pytest.fixture(scope="module")
+def text(written):
+    return written[0].read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def page(text):
+    return Page(text)
+
+
+def test_asks_the_network_for_nothing(text, page):
+    assert page.loaded == ["data:,"]
+    assert "url(" not in page.style
+    assert "@import" not in page.style
+
+
+def test_offers_no_upload_of_a_chart(text):
+    configs = re.findall(r'\{"displaylogo": false.*?\}', text)
+
+    assert len(configs) == len(CHARTS)
+    for config in configs:
+        assert json.loads(config)["showSendToCloud"] is False
+
+
+def test_holds_plotly_once_and_every_figure(text, page):
+    assert text.count("* plotly.js v") == 1
+    assert set(CHARTS) <= page.ids
+    assert set(CHARTS) == set(FIGURES) == set(CAPTIONS)
+
+
+def test_figures_are_images_large_enough_to_print(written):
+    assert [p.suffix for p in written] == [".html"] + [".png"] * len(FIGURES)
+    for path in written[1:]:
+        with Image.open(path) as image:
+            assert image.width >= 1200
+            assert len(image.convert("RGB").getcolors(10**6)) > 20
+
+
+def test_summary_puts_the_modes_side_by_side(page):
+    assert page.row("minimum clearance [m]") == ["0.190", "0.250"]
+    assert page.row("clearance violated")[0].startswith("yes")
+    assert page.row("clearance violated")[1] == "no"
+    assert page.row("deadline misses") == ["4 of 400", "4 of 400"]
+    assert page.row("solve time, median [ms]") == ["5.00", "5.00"]
+
+
+def test_flight_conditions_name_the_truth_and_the_seed(page):
+    assert page.row("true mismatch, mass") == ["10.0 %", "10.0 %"]
+    assert page.row("true mismatch, thrust") == ["−5.0 %", "−5.0 %"]
+    assert page.row("true wind bias, x, east") == ["0.60 N", "0.60 N"]
+    assert page.row("seed") == ["42", "42"]
+    assert page.row("gusts") == ["ou", "ou"]
+
+
+def test_parts_of_the_margins_add_up_to_the_total():
+    parts = look.margin_parts(ROBUST.margins)
+
+    assert sum(parts.values()) == pytest.approx(ROBUST.margins.total)
+    assert ROBUST.margins.total == pytest.approx(np.full((T.size, STAGES), 11 * MARGIN_M))
+    assert list(parts) == list(look.MARGIN_COLOURS) == list(look.MARGIN_LABELS)
+
+
+def test_a_mode_looks_the_same_in_every_report():
+    both, alone = look.lines([NOMINAL, ROBUST]), look.lines([ROBUST])
+
+    assert both[1] == alone[0]
+    assert both[0].colour != both[1].colour
+
+
+def test_flights_of_one_mode_are_told_apart():
+    first, second = look.lines([ROBUST, replace(ROBUST, name="again")])
+
+    assert first.dash != second.dash
+    assert (first.label, second.label) == ("robust (bag-robust)", "robust (again)")
+
+
+def test_a_bag_with_odometry_only_makes_a_report_too(tmp_path):
+    none = np.zeros((0, 0))
+    nothing = Margins(np.zeros(0), np.zeros((0, 0, 9)), none, none, none)
+    bare = replace(
+        NOMINAL, margins=nothing, t_solve=np.zeros(0), solve_ms=np.zeros(0), modes=(),
+        t_rotors=np.zeros(0), rotor_speed_hz=none, deadline_ms=float("nan"), zeta=None,
+        gust=None, seed=None, truncated=True,
+    )  # fmt: skip
+
+    html, *figures = write_report([bare], tmp_path / "report.html")
+
+    text = html.read_text(encoding="utf-8")
+    assert Page(text).row("deadline misses")[0] == "not recorded"
+    assert "the bag has no end" in text
+    assert all(p.is_file() for p in figures)
+
+
+def test_a_switch_of_the_mode_is_shown_and_names_are_written_as_text(tmp_path):
+    switched = replace(ROBUST, modes=((0.0, "nominal"), (5.0, "robust")))
+    odd = replace(ROBUST, name="<script>x</script>", modes=())
+
+    html, *_ = write_report([switched, odd], tmp_path / "report.html")
+
+    text = html.read_text(encoding="utf-8")
+    assert "nominal → robust" in text
+    assert "&lt;script&gt;x" in text
+    assert "<script>x" not in text.replace(r"\u003cscript", "")
+
+
+def test_without_flights_or_place_it_says_so(tmp_path):
+    with pytest.raises(ValueError, match="at least one flight"):
+        write_report([], tmp_path / "report.html")
+    (tmp_path / "file").touch()
+    with pytest.raises(BagError, match="cannot write"):
+        write_report([ROBUST], tmp_path / "file" / "report.html")
+
+
+WITHOUT_ROS = """
+import sys
+for package in ("rclpy", "std_msgs", "nav_msgs", "rcl_interfaces", "gtmr_msgs_py"):
+    sys.modules[package] = None
+import gtmr_monitor, gtmr_monitor.report.page
+from gtmr_monitor import BagWriter, read_messages
+with BagWriter(sys.argv[1]) as bag:
+    bag.add_topic("/odom", "nav_msgs/msg/Odometry")
+assert list(read_messages(sys.argv[1])) == []
+"""
+
+
+def test_bags_and_reports_need_no_ros(tmp_path):
+    subprocess.run([sys.executable, "-c", WITHOUT_ROS, tmp_path / "bag"], check=True, timeout=60)

@@ -1,0 +1,120 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The launch files start what exists, with parameters that exist; `launch` itself is stubbed."""
+
+from pathlib import Path
+
+import pytest
+from support.launch_stubs import parameters
+
+from gtmr_monitor.node import MonitorNode, MonitorParameters
+from gtmr_msgs_py.node.declarations import declarations
+from gtmr_nmpc.node import NmpcNode, NmpcParameters
+from gtmr_sim.node import SimNode, SimParameters
+
+ROOT = Path(__file__).parents[2]
+MODELS = {
+    "sim": (SimParameters, SimNode),
+    "nmpc": (NmpcParameters, NmpcNode),
+    "monitor": (MonitorParameters, MonitorNode),
+}
+LAUNCHED = {
+    "inspection": ["sim", "nmpc", "monitor"],
+    "compare": ["sim", "nmpc", "sim", "nmpc", "monitor"],
+}
+# A text for every argument that is a parameter, other than its default.
+TEXTS = {
+    "mode": "nominal",
+    "lockstep": "true",
+    "vehicle": "octo",
+    "zeta": "[0, 0, 0, 0, 0, 0, 0.6, 0.4, 0]",
+    "sample_zeta": "true",
+    "seed": "3",
+    "real_time_factor": "2",
+    "duration_s": "5.0",
+}
+
+
+@pytest.mark.parametrize("name", LAUNCHED)
+def test_the_suite_is_started_from_executables_that_exist(launch, name):
+    _, nodes = launch(name)
+    assert {node.package for node in nodes} == {"gtmr"}
+    assert [node.executable for node in nodes] == LAUNCHED[name]
+    assert all((ROOT / "scripts" / node.executable).is_file() for node in nodes)
+
+
+@pytest.mark.parametrize("name", LAUNCHED)
+def test_every_argument_is_described_and_reaches_the_parameter_it_names(launch, name):
+    arguments, _ = launch(name)
+    assert all(argument.description for argument in arguments.values())
+    as_parameters = {n: a for n, a in arguments.items() if a.parameter_of}
+    _, nodes = launch(name, **{n: TEXTS[n] for n in as_parameters})
+    for argument, meant in as_parameters.items():
+        for node in nodes:
+            assert (argument in parameters(node)) == (
+                node.executable in meant.parameter_of
+            ) or node.executable == "sim", argument
+
+
+@pytest.mark.parametrize("name", LAUNCHED)
+def test_every_parameter_exists_and_has_the_type_it_is_given(launch, name):
+    arguments, _ = launch(name)
+    texts = {n: TEXTS[n] for n, a in arguments.items() if a.parameter_of}
+    _, nodes = launch(name, bag="bags/new", **texts)
+    for node in nodes:
+        model, class_ = MODELS[node.executable]
+        known = {d.name: d.value for d in declarations(model(), class_.PRESETS)}
+        known["use_sim_time"] = False
+        for parameter, value in parameters(node).items():
+            assert type(known[parameter]) is type(value), parameter
+
+
+def test_what_is_not_given_is_left_to_the_parameter_file(launch):
+    _, nodes = launch("inspection")
+    assert parameters(nodes[0]) == {"recorders": 0}
+    assert parameters(nodes[1]) == {"recorders": 0, "use_sim_time": True}
+
+
+def test_a_recorded_flight_waits_for_its_recorder(launch):
+    _, (sim, nmpc, monitor) = launch("inspection", bag="bags/new")
+    assert parameters(sim)["recorders"] == parameters(nmpc)["recorders"] == 1
+    assert parameters(monitor)["bag"] == "bags/new"
+
+
+def test_viewers_start_only_when_asked_for(launch):
+    _, nodes = launch("inspection", rviz="true", foxglove="true")
+    assert [node.package for node in nodes[3:]] == ["rviz2", "foxglove_bridge"]
+    assert Path(nodes[3].arguments[1]).is_file()
+
+
+def test_two_flights_are_apart_and_end_together(launch):
+    _, nodes = launch("compare", seed="3", bag="bags/new")
+    sims = [node for node in nodes if node.executable == "sim"]
+    assert [node.namespace for node in sims] == ["nominal", "robust"]
+    modes = {n.namespace: parameters(n)["mode"] for n in nodes if n.executable == "nmpc"}
+    assert modes == {"nominal": "nominal", "robust": "robust"}
+    assert all(("/clock", "clock") in node.remappings for node in sims)
+    assert all(parameters(node)["seed"] == 3 for node in sims)
+    assert parameters(nodes[-1])["namespaces"] == ["nominal", "robust"]
+    ends = [sim.on_exit.function(None) for sim in sims]
+    assert [[action.kind for action in end] for end in ends] == [[], ["Shutdown"]]
+
+
+@pytest.mark.parametrize(
+    ("texts", "reason"),
+    [
+        ({"seed": "many"}, "seed:=many: expected int"),
+        ({"sample_zeta": "1"}, "sample_zeta:=1: expected bool"),
+        ({"params_file": "nope"}, "params_file:=nope: there is paper, wind, worst-case"),
+        ({"params_file": "nope.yaml"}, "params_file:=nope.yaml: there is"),
+    ],
+)
+def test_an_argument_that_cannot_be_used_is_named(launch, texts, reason):
+    with pytest.raises(ValueError, match=reason):
+        launch("inspection", **texts)

@@ -1,0 +1,79 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A node as a process ends cleanly however an interruption reaches it."""
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+RUN = """
+import sys
+from gtmr_msgs_py.node.process import run
+from gtmr_msgs_py.node.suite_node import SuiteNode
+
+class Interrupted(SuiteNode):
+    def start(self):
+        {raises}
+
+sys.exit(run(lambda managed: Interrupted("node", managed), []))
+"""
+# What rclpy makes of a Ctrl-C in the middle of a conversion.
+IN_A_CONVERSION = "raise SystemError('take_response returned a result') from KeyboardInterrupt()"
+
+
+def ended(raises):
+    return subprocess.run(
+        [sys.executable, "-c", RUN.format(raises=raises)],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("raises", ["raise KeyboardInterrupt", IN_A_CONVERSION])
+def test_an_interruption_is_a_clean_end(raises):
+    run = ended(raises)
+    assert (run.returncode, run.stderr) == (0, "")
+
+
+def test_a_defect_is_not_taken_for_an_interruption():
+    run = ended("raise SystemError('lost') from ValueError()")
+    assert run.returncode == 1
+    assert "lost" in run.stderr
+
+
+BUSY = """
+import sys, time
+from gtmr_msgs_py.node import process
+from gtmr_msgs_py.node.suite_node import SuiteNode
+
+class Busy(SuiteNode):
+    def start(self):
+        self.create_timer(0.001, self.work)
+
+    def work(self):
+        print("at work", flush=True)
+        time.sleep(0.3)
+        print("done", flush=True)
+
+sys.exit(process.run(lambda managed: Busy("node", managed), [], {executor}))
+"""
+
+
+@pytest.mark.parametrize("executor", ["process.PROMPT", "process.SingleThreadedExecutor"])
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_in_a_callback_lets_it_finish(stop, executor):
+    with subprocess.Popen(
+        [sys.executable, "-c", BUSY.format(executor=executor)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as node:  # fmt: skip
+        assert node.stdout.readline() == "at work\n"
+        node.send_signal(stop)
+        rest, error = node.communicate(timeout=20)
+    assert (node.returncode, rest, error) == (0, "done\n", "")

@@ -1,0 +1,190 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The controller in C solves the same QPs as the one in NumPy, whose solver is exchanged too."""
+
+import os
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from support.hard_flights import SITUATIONS
+from support.reference_qp import solve_with_qpoases
+
+from gtmr_model import Helix, Tower, Vehicle
+from gtmr_nmpc import Controller, ControllerConfig
+from gtmr_nmpc.compiled.iteration import CompiledIteration
+from gtmr_nmpc.reference.interpreted import InterpretedIteration
+from gtmr_nmpc.reference.qp import CondensedQp
+
+QPS = int(os.environ.get("GTMR_QPS", "20"))
+"""How many QPs of each situation; GTMR_QPS=2000 makes the full comparison, in six minutes."""
+ACTIVE = 1e-6
+"""How close to its limit an input [Hz/s], a speed [Hz] or a clearance [m] counts as at it."""
+
+
+def difference(first, second):
+    """Largest difference of two solutions in any input, state, slack or margin."""
+    return max(
+        np.abs(getattr(first, name) - getattr(second, name)).max()
+        for name in ("u_plan", "x_plan", "slack", "alpha_p", "alpha_p_by_channel", "alpha_g")
+    )
+
+
+def pair(config, mode):
+    """Two controllers of one problem: compiled, and the reference."""
+    return (
+        Controller(config, mode, CompiledIteration(config)),
+        Controller(config, mode, InterpretedIteration(config)),
+    )
+
+
+def active(config, solution):
+    """How many inequalities of each kind are active."""
+    vehicle, xi = config.vehicle, solution.x_plan[1:, 12:]
+    tightened = config.tower.residual(solution.x_plan) + solution.alpha_p + solution.alpha_g
+    return Counter(
+        inputs=int((np.abs(solution.u_plan) > vehicle.max_rotor_acceleration_hz_s - ACTIVE).sum()),
+        speeds=int(
+            (
+                (xi > vehicle.max_rotor_speed_hz - ACTIVE)
+                | (xi < vehicle.min_rotor_speed_hz + ACTIVE)
+            ).sum()
+        ),
+        clearances=int((tightened[1:] > -ACTIVE).sum()),
+        slacks=int((solution.slack[1:] > 0.0).sum()),
+    )
+
+
+@pytest.mark.parametrize("name", SITUATIONS)
+def test_plans_are_those_of_the_reference_with_qpoases(name, monkeypatch):
+    monkeypatch.setattr(CondensedQp, "solve", solve_with_qpoases)
+    situation = SITUATIONS[name]
+    compiled, reference = pair(situation.config, situation.mode)
+    worst, most, qps, seed = 0.0, Counter(), 0, 0
+    while qps < QPS:
+        compiled.reset()
+        reference.reset()
+        for t, x, solution in situation.fly(compiled.step, seed):
+            worst = max(worst, difference(solution, reference.step(t, x)))
+            most |= active(situation.config, solution)
+            qps += 1
+        seed += 1
+    assert worst < 1e-7
+    print(f"{name}: {qps} QPs, at most {dict(most)} active, largest difference {worst:.1e}")  # noqa: T201
+    assert set(situation.active) <= set(most)
+
+
+@pytest.mark.parametrize("name", ["octo", "quad", "laas"])
+def test_other_vehicles(name):
+    config = ControllerConfig(vehicle=Vehicle.preset("vehicle", name), tightening="gradient")
+    compare_from(config, config.helix.initial_state(config.tower, config.vehicle), steps=8)
+
+
+@pytest.mark.parametrize("horizon", [2, 5, 10, 40])
+def test_other_horizons(horizon):
+    config = ControllerConfig(horizon=horizon, tightening="gradient")
+    x = config.helix.initial_state(config.tower, config.vehicle)
+    x[0] -= 0.14
+    compare_from(config, x, steps=4)
+
+
+def compare_from(config, x, steps, mode="robust"):
+    """Feed both controllers the states that the compiled one predicts."""
+    compiled, reference = pair(config, mode)
+    for k in range(steps):
+        t = k * config.sampling_time_s
+        solution = compiled.step(t, x)
+        expected = reference.step(t, x)
+        assert difference(solution, expected) < 1e-7
+        assert solution.status == expected.status != "failed"
+        x = solution.x_plan[1]
+
+
+def around(middle, spread):
+    return st.floats(middle - spread, middle + spread)
+
+
+@settings(max_examples=15, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
+@given(
+    offset=st.lists(around(0.0, 0.2), min_size=3, max_size=3),
+    attitude=st.lists(around(0.0, 0.2), min_size=3, max_size=3),
+    velocity=st.lists(around(0.0, 0.5), min_size=6, max_size=6),
+    rotors=st.lists(around(61.0, 25.0), min_size=6, max_size=6),
+    limits=st.tuples(st.floats(10.0, 60.0), st.floats(63.0, 110.0), st.floats(50.0, 400.0)),
+    penalty=st.tuples(st.floats(2.0, 6.0), st.floats(2.0, 6.0)),
+    radius_m=st.floats(0.3, 3.0),
+    tightening=st.sampled_from(["frozen", "gradient"]),
+    mode=st.sampled_from(["nominal", "robust"]),
+)
+def test_random_problems(
+    offset, attitude, velocity, rotors, limits, penalty, radius_m, tightening, mode
+):
+    names = ("min_rotor_speed_hz", "max_rotor_speed_hz", "max_rotor_acceleration_hz_s")
+    config = ControllerConfig(
+        vehicle=Vehicle.paper().model_copy(update=dict(zip(names, limits, strict=True))),
+        tower=Tower(radius_m=radius_m),
+        helix=Helix(speed_m_s=-0.4, start_angle_rad=1.0),
+        tightening=tightening,
+        slack_l1=10.0 ** penalty[0],
+        slack_l2=10.0 ** penalty[1],
+    )
+    x = config.helix.initial_state(config.tower, config.vehicle)
+    x[:12] += [*offset, *attitude, *velocity]
+    x[12:] = rotors
+    compare_from(config, x, steps=2, mode=mode)
+
+
+def test_controllers_in_one_process_do_not_disturb_each_other():
+    config = ControllerConfig()
+    x = config.helix.initial_state(config.tower, config.vehicle)
+    alone = [Controller(config).step(0.0, x)]
+    first, second = Controller(config), Controller(config, "nominal")
+    kept = first.step(0.0, x)
+    second.step(0.0, x + 0.01)
+    np.testing.assert_array_equal(kept.x_plan, alone[0].x_plan)
+    before = kept.x_plan.copy()
+    first.step(0.025, x + 0.01)
+    np.testing.assert_array_equal(kept.x_plan, before)
+
+
+def test_a_state_far_off_never_gives_a_plan_that_is_no_number():
+    config = ControllerConfig()
+    controller = Controller(config)
+    x = config.helix.initial_state(config.tower, config.vehicle)
+    x[3:12] = [3.0, 1.5, 2.0, 30.0, -20.0, 10.0, 40.0, -30.0, 50.0]
+    for k in range(5):
+        assert np.isfinite(controller.step(0.025 * k, x).u).all()
+
+
+def test_a_plan_that_is_called_solved_keeps_the_rotor_limits_from_anywhere():
+    config = ControllerConfig()
+    vehicle, rng = config.vehicle, np.random.default_rng(5)
+    start = config.helix.initial_state(config.tower, vehicle)
+    solved = 0
+    for _ in range(150):
+        controller = Controller(config, "robust", CompiledIteration(config))
+        x = start.copy()
+        x[:3] += rng.uniform(-0.4, 0.6, 3)
+        x[3:5] += rng.uniform(-0.3, 0.3, 2)
+        x[6:12] += rng.uniform(-1.0, 1.0, 6)
+        x[12:] = rng.uniform(0.0, 120.0, 6)
+        for k in range(2):
+            plan = controller.step(0.025 * k, x)
+            if plan.status == "failed":
+                continue
+            solved += 1
+            assert np.abs(plan.u_plan).max() <= vehicle.max_rotor_acceleration_hz_s + 1e-6
+            reach = vehicle.max_rotor_acceleration_hz_s * 0.025 * np.arange(1, 21)[:, None]
+            lowest = np.minimum(vehicle.min_rotor_speed_hz, x[12:] + reach)
+            highest = np.maximum(vehicle.max_rotor_speed_hz, x[12:] - reach)
+            assert (plan.x_plan[1:, 12:] >= lowest - 1e-6).all()
+            assert (plan.x_plan[1:, 12:] <= highest + 1e-6).all()
+    assert solved > 250

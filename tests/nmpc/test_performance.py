@@ -1,0 +1,54 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What the controller says of itself adds up."""
+
+import numpy as np
+import pytest
+
+from gtmr_model import CHANNELS, Tower, Vehicle
+from gtmr_nmpc import Controller
+from gtmr_nmpc.performance import standing
+from gtmr_sim import Scenario
+
+SCENARIO = Scenario()
+START = SCENARIO.helix.initial_state(SCENARIO.tower, SCENARIO.vehicle)
+
+
+def near_the_tower(clearance_m, mode="robust"):
+    x = START.copy()
+    x[0] = SCENARIO.tower.radius_m + clearance_m
+    solution = Controller(mode=mode).step(0.0, x)
+    return solution, standing(solution, Tower(), Vehicle.paper())
+
+
+def test_the_margins_of_the_tightest_stage_add_up():
+    solution, said = near_the_tower(0.28)
+    stage = said["tightest_stage"]
+    channels = sum(said[f"tightest_margin_{channel}_m"] for channel in CHANNELS)
+    total = channels + solution.eps_s + said["tightest_margin_gust_m"]
+    assert said["tightest_margin_m"] == pytest.approx(total)
+    distance = Tower().clearance(solution.x_plan)[stage]
+    assert said["tightest_to_spare_m"] == pytest.approx(distance - 0.2 - total)
+    alpha = solution.alpha_p + solution.alpha_g
+    assert stage == np.argmin(Tower().clearance(solution.x_plan) - alpha)
+
+
+def test_a_plan_far_from_the_tower_has_nothing_active():
+    _, said = near_the_tower(0.6, "nominal")
+    assert said["active_clearance_stages"] == 0
+    assert said["slack_m"] == said["tightest_margin_m"] == said["margin_scale"] == 0.0
+
+
+def test_a_plan_that_starts_too_close_is_active_and_uses_slack():
+    solution, said = near_the_tower(0.15)
+    assert said["slack_m"] == pytest.approx(solution.slack.max())
+    assert said["slack_m"] > 0.05
+    assert said["active_clearance_stages"] > 0
+    assert said["active_inputs"] > 0
+    assert said["tightest_to_spare_m"] < 0.0

@@ -1,0 +1,25 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The command line as a process of its own, as its users start it."""
+
+import subprocess
+import sys
+
+TIMEOUT_S = 120
+
+
+def command(*arguments):
+    return [sys.executable, "-m", "gtmr_study.cli", *map(str, arguments)]
+
+
+def gtmr_process(*arguments, **options):
+    return subprocess.run(
+        command(*arguments), capture_output=True, text=True, timeout=TIMEOUT_S, check=False,
+        **options,
+    )  # fmt: skip
