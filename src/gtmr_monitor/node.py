@@ -41,7 +41,9 @@ from gtmr_msgs_py.node.parameter_events import PARAMETER_EVENTS, ParameterFetch,
 from gtmr_msgs_py.node.parameters import ModelParameters
 from gtmr_msgs_py.node.process import run
 from gtmr_msgs_py.node.suite_node import SuiteNode
+from gtmr_msgs_py.wire import stamps
 from gtmr_msgs_py.wire.message_error import MessageError
+from gtmr_msgs_py.wire.order import StampOrder
 
 DIAGNOSTICS_PERIOD_S = 1.0
 """Between two messages on /diagnostics, wall time [s]."""
@@ -96,7 +98,8 @@ class Vehicle:
         self.odometry_name = node.resolve_topic_name(self.topic(topics.ODOM).name)
         self.clearance = self.topic(topics.CLEARANCE).publisher(node)
         self.residual = self.topic(topics.CLEARANCE_RESIDUAL).publisher(node)
-        self._stamp_ns = 0
+        self.order = StampOrder()
+        """Of the odometry."""
 
     def topic(self, topic: topics.Topic) -> topics.Topic:
         """Return a topic of the suite as this vehicle has it."""
@@ -104,12 +107,13 @@ class Vehicle:
             return topic
         return replace(topic, name=f"{self.namespace}/{topic.name}")
 
-    def update(self, stamp_ns: int, residual_m: float) -> None:
-        """Take in a residual [m]; time that goes back begins another flight."""
-        if stamp_ns < self._stamp_ns:
+    def update(self, stamp_ns: int, residual_m: float) -> ResidualWatch | None:
+        """Take in a residual [m]; of a flight that another one follows, return the watch."""
+        ended = self.watch if self.order.resets(stamp_ns) else None
+        if ended is not None:
             self.watch = ResidualWatch()
-        self._stamp_ns = stamp_ns
-        self.watch.update(residual_m)
+        self.watch.update(residual_m, late=self.order.is_late(stamp_ns))
+        return ended
 
 
 class MonitorNode(SuiteNode):
@@ -229,7 +233,12 @@ class MonitorNode(SuiteNode):
             self.get_logger().warning(f"ignored: {error}", throttle_duration_sec=WARNING_PERIOD_S)
             return
         residual_m = float(tower.residual(x))
-        vehicle.update(stamp_ns, residual_m)
+        ended = vehicle.update(stamp_ns, residual_m)
+        if ended is not None:
+            self.get_logger().info(
+                f"another flight begins at {stamps.seconds(stamp_ns):g} s; the one before had "
+                f"{ended.violations} violations, residual at most {ended.worst_m:.3f} m"
+            )
         distance = clearance.encode(stamp_ns, float(tower.clearance(x)), tower.min_clearance_m)
         # With the odometry's time in the bag, so that they stay together.
         self._publish(vehicle.clearance, distance, came_ns)
@@ -276,11 +285,14 @@ class MonitorNode(SuiteNode):
             level, message = Level.STALE, "no odometry"
         elif watch.violations:
             level, message = Level.WARN, "the clearance was violated"
+        if vehicle.order.late:
+            message += "; some odometry came late"
         values: dict[str, diagnostics.Value] = {
             "min_clearance_m": self._settings.value.tower.min_clearance_m,
             "violations": watch.violations,
             "samples": watch.samples,
             "unusable_odometry": vehicle.unusable,
+            "late_odometry": vehicle.order.late,
             "recording": recording is not None and recording.active,
             "bag": self._settings.value.bag,
             "messages_written": recording.messages if recording is not None else 0,

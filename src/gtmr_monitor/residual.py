@@ -111,15 +111,10 @@ class ResidualWatch:
     violations: int = 0
     """How many of them violated the clearance constraint."""
 
-    def update(self, residual_m: float) -> None:
-        """Take in the next sample.
-
-        Parameters
-        ----------
-        residual_m : float
-            s = d_min - d_T(p) [m].
-        """
-        self.current_m = residual_m
+    def update(self, residual_m: float, late: bool = False) -> None:
+        """Take in a sample s = d_min - d_T(p) [m]; one that comes late is not the current one."""
+        if not late:
+            self.current_m = residual_m
         self.worst_m = max(self.worst_m, residual_m)
         self.samples += 1
         self.violations += residual_m > 0.0

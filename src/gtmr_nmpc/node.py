@@ -41,6 +41,7 @@ from gtmr_msgs_py.node.process import PROMPT, run
 from gtmr_msgs_py.node.suite_node import SuiteNode
 from gtmr_msgs_py.wire import stamps
 from gtmr_msgs_py.wire.message_error import MessageError
+from gtmr_msgs_py.wire.order import StampOrder
 from gtmr_nmpc.config import MODES, ControllerConfig, Mode
 from gtmr_nmpc.controller import Controller
 from gtmr_nmpc.performance import Performance, standing
@@ -123,7 +124,9 @@ class NmpcNode(SuiteNode):
         self._schedule = Schedule(stamps.nanoseconds(config.sampling_time_s))
         self._performance = Performance(config.sampling_time_s)
         self._odometry: Stamped | None = None
+        self._odometry_order = StampOrder()
         self._rotor_states: Stamped | None = None
+        self._rotor_states_order = StampOrder()
         self._last_command = b""
         self._unusable = 0
         self._steps_reported = 0
@@ -175,22 +178,29 @@ class NmpcNode(SuiteNode):
         self._controller.prepare(stamps.seconds(self._schedule.next_ns))
 
     def _on_odometry(self, data: bytes) -> None:
-        self._odometry = self._read(odometry.unpack, data)
+        read = self._read(odometry.unpack, data, self._odometry_order)
+        self._odometry = read or self._odometry
         self._step_if_due()
 
     def _on_rotor_states(self, data: bytes) -> None:
         n_rotors = self._settings.value.vehicle.n_rotors
-        self._rotor_states = self._read(partial(rotor_states.unpack, n_rotors=n_rotors), data)
+        unpack = partial(rotor_states.unpack, n_rotors=n_rotors)
+        read = self._read(unpack, data, self._rotor_states_order)
+        self._rotor_states = read or self._rotor_states
         self._step_if_due()
 
-    def _read(self, unpack: Callable[[bytes], Stamped], data: bytes) -> Stamped | None:
+    def _read(
+        self, unpack: Callable[[bytes], Stamped], data: bytes, order: StampOrder
+    ) -> Stamped | None:
+        """Read a message; one that cannot be used, or comes late, must not displace another."""
         self._arrival = time.perf_counter()
         try:
-            return unpack(data)
+            stamped = unpack(data)
         except MessageError as error:
             self._unusable += 1
             self.get_logger().warning(f"ignored: {error}", throttle_duration_sec=WARNING_PERIOD_S)
             return None
+        return None if order.is_late(stamped[0]) else stamped
 
     def _step_if_due(self) -> None:
         state = self._take_state()
@@ -305,6 +315,7 @@ class NmpcNode(SuiteNode):
                     "deadline_misses": performance.deadline_misses,
                     "skipped_steps": self._schedule.skipped,
                     "unusable_states": self._unusable,
+                    "late_states": self._odometry_order.late + self._rotor_states_order.late,
                     "softened_in_window": performance.count("softened"),
                     "failed_in_window": performance.count("failed"),
                     **performance.percentiles_ms(),

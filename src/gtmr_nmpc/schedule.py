@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from enum import Enum, auto
 
+from gtmr_msgs_py.wire.order import StampOrder
+
 
 class Due(Enum):
     """What an odometry asks for."""
@@ -19,11 +21,11 @@ class Due(Enum):
     STEP = auto()
     """The next step."""
     RESTART = auto()
-    """A first step: time went back, as after a reset of the simulator, or there was none yet."""
+    """A first step: the world began again, see `is_reset`, or there was none yet."""
     REPEAT = auto()
     """The last command again: this odometry has been answered, but the answer was lost."""
     NOTHING = auto()
-    """To wait: the next step is not due yet."""
+    """To wait: the next step is not due yet, or this odometry came late."""
 
 
 class Schedule:
@@ -45,6 +47,7 @@ class Schedule:
         """The instant to plan from [ns]."""
         self.skipped = 0
         """How many steps had no odometry, or came too late."""
+        self._order = StampOrder()
         self._answered_ns: int | None = None
 
     @property
@@ -53,23 +56,15 @@ class Schedule:
         return self.time_ns + self.period_ns
 
     def admit(self, stamp_ns: int) -> Due:
-        """Say what an odometry asks for, and move on if it is a step.
-
-        Parameters
-        ----------
-        stamp_ns : int
-            Its stamp [ns].
-
-        Returns
-        -------
-        Due
-        """
+        """Say what an odometry asks for by its stamp [ns], and move on if it is a step."""
         tolerance_ns = self.period_ns // self.EVENNESS
-        if self._answered_ns is None or stamp_ns < self._answered_ns:
+        restarts = self._order.resets(stamp_ns) or self._answered_ns is None
+        late = self._order.is_late(stamp_ns)
+        if restarts:
             self.time_ns, due = stamp_ns, Due.RESTART
         elif stamp_ns == self._answered_ns:
             return Due.REPEAT
-        elif stamp_ns < self.next_ns - tolerance_ns:
+        elif late or stamp_ns < self.next_ns - tolerance_ns:
             return Due.NOTHING
         else:
             late_ns = stamp_ns - self.next_ns

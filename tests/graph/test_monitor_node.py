@@ -92,7 +92,7 @@ class Graph:
     def residual_topic(self):
         return self.node.resolve_topic_name(topics.CLEARANCE_RESIDUAL.name)
 
-    def publish(self, k, position=None):
+    def publish(self, k, position=None, earlier_ns=0):
         x = np.zeros(12)
         angle = 0.05 * k
         radius = 1.2 + 0.1 * math.sin(0.3 * k)
@@ -100,7 +100,7 @@ class Graph:
         if position is not None:
             x[:3] = position
         x[5] = angle + math.pi
-        message = odometry_message(k * 25_000_000, x)
+        message = odometry_message(k * 25_000_000 - earlier_ns, x)
         self.odometry.publish(message)
 
     def close(self):
@@ -291,6 +291,22 @@ def test_time_that_goes_back_begins_another_flight(graph):
         stop(process)
 
     assert figures(graph)[-1]["violations"] == 0
+
+
+@pytest.mark.parametrize("earlier_ns", [1, 20_000_000])
+def test_a_late_odometry_does_not_make_it_forget_a_violation(graph, earlier_ns):
+    with monitor() as process:
+        graph.await_monitor()
+        graph.publish(10, position=(1.15, 0.0, 2.0))
+        graph.publish(11, position=(1.4, 0.0, 2.0))
+        graph.publish(11, position=(1.3, 0.0, 2.0), earlier_ns=earlier_ns)
+        graph.wait_until(lambda: any(f["samples"] == 3 for f in figures(graph)))
+        stop(process)
+
+    last = figures(graph)[-1]
+    assert (last["violations"], last["late_odometry"]) == (1, 1)
+    assert last["worst_residual_m"] == pytest.approx(0.05)
+    assert last["residual_m"] == pytest.approx(-0.2)
 
 
 def test_an_estimator_that_publishes_best_effort_is_heard_and_recorded(graph, tmp_path):

@@ -240,6 +240,30 @@ def test_a_repeated_odometry_gets_the_same_command_and_an_early_one_none(graph):
     assert {plan.stamp_ns for plan in later} == {10**9, 10**9 + 25_000_000}
 
 
+def test_a_late_odometry_is_counted_and_the_controller_goes_on_as_if_it_had_not_come(graph):
+    graph.listen([topics.ROTOR_COMMAND, topics.DIAGNOSTICS])
+    publishers = [topic.publisher(graph.node) for topic in (topics.ODOM, topics.ROTOR_STATES)]
+    graph.start(NMPC)
+    graph.wait_until(lambda: all(p.get_subscription_count() for p in publishers))
+
+    def answered(k):
+        def published_and_answered():
+            publish_state(publishers, 10**10 + k * 25_000_000, START)
+            plans = [rotor_command.decode(m, 6) for m in graph.received["rotor_command"]]
+            return any(plan.stamp_ns == 10**10 + k * 25_000_000 for plan in plans)
+
+        graph.wait_until(published_and_answered)
+
+    for k in range(4):
+        answered(k)
+    publish_state(publishers, 10**10 + 3 * 25_000_000 - 1, START)
+    graph.wait_until(lambda: figures(graph, "nmpc").get("late_states") == 2)
+    answered(4)
+    times = [rotor_command.decode(m, 6).stamp_ns for m in graph.received["rotor_command"]]
+    assert times == sorted(times)
+    assert set(times) == {10**10 + k * 25_000_000 for k in range(5)}
+
+
 @pytest.mark.parametrize(
     ("module", "parameters", "reason"),
     [

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gtmr_msgs_py.wire.order import RESET_NS
 from gtmr_nmpc.schedule import Due, Schedule
 
 PERIOD_NS = 25_000_000
@@ -57,3 +58,24 @@ def test_time_going_back_starts_anew():
     schedule = Schedule(PERIOD_NS)
     due = admitted(schedule, [0, PERIOD_NS, 2 * PERIOD_NS, 0, PERIOD_NS])
     assert due == [Due.RESTART, Due.STEP, Due.STEP, Due.RESTART, Due.STEP]
+
+
+@pytest.mark.parametrize("behind_ns", [1, TICK_NS, PERIOD_NS, RESET_NS])
+def test_an_odometry_that_comes_late_neither_restarts_nor_is_answered(behind_ns):
+    schedule, newest_ns = Schedule(PERIOD_NS), 80 * PERIOD_NS
+    assert admitted(schedule, [newest_ns, newest_ns - behind_ns]) == [Due.RESTART, Due.NOTHING]
+    assert schedule.next_ns == newest_ns + PERIOD_NS
+    assert schedule.admit(newest_ns + PERIOD_NS) is Due.STEP
+
+
+def test_a_jump_back_further_than_a_message_can_be_late_starts_anew():
+    due = admitted(Schedule(PERIOD_NS), [80 * PERIOD_NS, 80 * PERIOD_NS - RESET_NS - 1])
+    assert due == [Due.RESTART, Due.RESTART]
+
+
+def test_a_reset_just_after_the_start_starts_anew():
+    assert admitted(Schedule(PERIOD_NS), [0, TICK_NS, 0]) == [
+        Due.RESTART,
+        Due.NOTHING,
+        Due.RESTART,
+    ]
