@@ -21,9 +21,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from functools import cache, lru_cache
 from pathlib import Path
 
@@ -62,32 +62,31 @@ def load_library(
     flags : mapping of str to tuple of str
         Further flags of each ``.c`` file, by name.
 
-    Returns
-    -------
-    ctypes.CDLL
-
     Raises
     ------
     CompileError
-        If there is no compiler, or it fails.
+        If there is no compiler, or it fails, or what it made can be neither written nor loaded.
     """
     compiler = _compiler()
     parts = [*compiler, *FLAGS, _version(compiler), _cpu()]
     for name, text in sorted(sources.items()):
         parts += [name, text, *flags.get(name, ())]
     key = _digest("\0".join(parts).encode())
-    with _cache_folder() as folder:
-        entry = _find(folder, key)
-        if entry is None:
-            start = time.perf_counter()
-            _say(f"gtmr: compiling {title}, once for this machine ...", end=" ")
-            try:
-                entry = _build(folder, key, compiler, sources, flags)
-            except CompileError:
-                _say("failed")
-                raise
-            _say(f"done in {time.perf_counter() - start:.0f} s")
-        return ctypes.CDLL(str(entry))
+    home = _cache_folder()
+    if home is not None:
+        with suppress(OSError):
+            entry = _find(home, key)
+            if entry is not None:
+                return ctypes.CDLL(str(entry))
+    start = time.perf_counter()
+    _say(f"gtmr: compiling {title}, once for this machine ...", end=" ")
+    try:
+        library = _make(home, key, compiler, sources, flags)
+    except CompileError:
+        _say("failed")
+        raise
+    _say(f"done in {time.perf_counter() - start:.0f} s")
+    return library
 
 
 @cache
@@ -99,13 +98,7 @@ def _warn_once(reason: str) -> None:
 
 
 def warn_interpreted(error: CompileError) -> None:
-    """Say on stderr, once for each reason, that there is no compiled code and what to do.
-
-    Parameters
-    ----------
-    error : CompileError
-        Why.
-    """
+    """Say on stderr, once for each reason, that there is no compiled code and what to do."""
     _warn_once(str(error))
 
 
@@ -141,18 +134,15 @@ def _cpu() -> str:
     return f"{platform.machine()} {platform.processor()}"
 
 
-@contextmanager
-def _cache_folder() -> Iterator[Path]:
-    """Give the user's own folder, or for once a temporary one where there is none to trust."""
-    home = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
-    folder = Path(home) / "gtmr"
-    with suppress(OSError):
+def _cache_folder() -> Path | None:
+    """Find the user's own folder; none where there is none to write in or to trust."""
+    with suppress(OSError, RuntimeError):  # RuntimeError: a user without a home
+        home = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
+        folder = Path(home) / "gtmr"
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if _is_own(folder.lstat()) and os.access(folder, os.W_OK):
-            yield folder
-            return
-    with tempfile.TemporaryDirectory(prefix="gtmr-") as temporary:
-        yield Path(temporary)
+            return folder
+    return None
 
 
 def _is_own(status: os.stat_result) -> bool:
@@ -174,6 +164,26 @@ def _find(folder: Path, key: str) -> Path | None:
                 return entry
             entry.unlink()
     return None
+
+
+def _make(
+    home: Path | None,
+    key: str,
+    compiler: tuple[str, ...],
+    sources: Mapping[str, str],
+    flags: Mapping[str, tuple[str, ...]],
+) -> ctypes.CDLL:
+    """Build and load in the cache, or for once in a temporary folder where the cache fails."""
+    if home is not None:
+        # CompileError as well: it is what a full disk makes of the compiler.
+        with suppress(OSError, CompileError):
+            return ctypes.CDLL(str(_build(home, key, compiler, sources, flags)))
+    try:
+        with tempfile.TemporaryDirectory(prefix="gtmr-") as folder:
+            return ctypes.CDLL(str(_build(Path(folder), key, compiler, sources, flags)))
+    except OSError as error:
+        reason = " ".join((error.strerror or str(error)).split())
+        raise CompileError(f"compiled code cannot be written or loaded: {reason}") from None
 
 
 def _build(

@@ -8,18 +8,22 @@
 
 """The cache of compiled code: shared between processes, trusted only as far as it deserves."""
 
+import ctypes
+import errno
 import json
 import os
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gtmr_codegen import library
 from gtmr_codegen.library import CompileError, load_library
 from gtmr_model import Helix, Tower, Vehicle
-from gtmr_nmpc import Controller
+from gtmr_nmpc import Controller, ControllerConfig
 from gtmr_sim import Scenario, fly, plant
 
 SOURCES = {"answer.c": "int answer(void);\nint answer(void)\n{\n    return 42;\n}\n"}
@@ -119,6 +123,66 @@ def test_a_named_compiler_that_is_not_there_is_an_error(cache, monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler -O2")
     with pytest.raises(CompileError, match=r"no C compiler found .*no-such-compiler"):
         answer()
+
+
+def no_space(*_arguments, **_options):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_cache_on_a_full_disk_is_bypassed(cache, monkeypatch, capfd):
+    write = Path.write_text
+    monkeypatch.setattr(
+        Path,
+        "write_text",
+        lambda self, *a, **k: (no_space if cache in self.parents else write)(self, *a, **k),
+    )
+    assert answer() == 42
+    assert "done in" in capfd.readouterr().err
+
+
+def test_a_compiler_that_finds_the_disk_full_is_tried_elsewhere(cache, tmp_path, monkeypatch):
+    compiler = tmp_path / "cc"
+    compiler.write_text(
+        f'#!/bin/sh\ncase "$*" in *{cache}*) echo error: No space left on device >&2; exit 1;;'
+        ' esac\nexec cc "$@"\n'
+    )
+    compiler.chmod(0o700)
+    monkeypatch.setenv("CC", str(compiler))
+    assert answer() == 42
+    assert not list(cache.glob("*.so"))
+
+
+def test_an_entry_that_cannot_be_loaded_from_the_cache_is_loaded_from_elsewhere(
+    made, cache, monkeypatch
+):
+    shutil.copytree(made, cache)
+    load = ctypes.CDLL
+
+    def noexec(path):
+        if str(cache) in path:
+            raise OSError(f"{path}: failed to map segment from shared object")
+        return load(path)
+
+    monkeypatch.setattr(ctypes, "CDLL", noexec)
+    assert answer() == 42
+
+
+@pytest.mark.parametrize("harm", ["nothing can be loaded", "nothing can be written"])
+def test_where_no_folder_will_do_the_controller_flies_interpreted(cache, monkeypatch, harm, capfd):
+    if harm == "nothing can be loaded":
+        monkeypatch.setattr(ctypes, "CDLL", no_space)
+    else:
+        monkeypatch.setattr(Path, "write_text", no_space)
+    with pytest.raises(CompileError, match="cannot be written or loaded: No space left"):
+        answer()
+    capfd.readouterr()
+    monkeypatch.setattr(library, "_warn_once", library._warn_once.__wrapped__)
+    quick = ControllerConfig(horizon=3)
+    x = quick.helix.initial_state(quick.tower, quick.vehicle)
+    assert Controller(quick).step(0.0, x).status == "solved"
+    said = capfd.readouterr().err.splitlines()
+    assert [line for line in said if "interpreted" in line] == said[1:]
+    assert len(said) == 2
 
 
 FLY = """
