@@ -21,11 +21,12 @@ from numpy.typing import ArrayLike, NDArray
 from gtmr_codegen.c_source import c_function
 from gtmr_codegen.library import CompileError, load_library, warn_interpreted
 from gtmr_model.dynamics import ROTORS, rk4_step, state_derivative, symbols
+from gtmr_model.uncertainty import N_ZETA
 from gtmr_model.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-Integrator = Callable[[Array, Array, Array, Array, int], Array]
-"""Maps x, u, zeta, w_g and a number of steps to the state after them."""
+Integrator = Callable[[Array, int], None]
+"""Takes a plant's memory, x, u, zeta and w_g in one row, and moves x on by a number of steps."""
 
 ADVANCE = """
 #include <string.h>
@@ -59,6 +60,8 @@ class Plant:
 
     def __init__(self, vehicle: Vehicle, zeta: ArrayLike, x: ArrayLike, step_s: float) -> None:
         self._integrate = _integrator(vehicle, step_s)
+        # The compiled code is shared between flights and threads; what it writes to is not.
+        self._memory = np.zeros(vehicle.n_x + vehicle.n_rotors + N_ZETA + 3)
         self.zeta: Array = np.asarray(zeta, dtype=float)
         """The true mismatch and wind bias from now on, eq. (4), shape (9,)."""
         self.x: Array = np.array(x, dtype=float)
@@ -75,8 +78,9 @@ class Plant:
         steps : int
             Number of integration steps.
         """
-        held = np.asarray(u, dtype=float), self.zeta, np.asarray(w_g, dtype=float)
-        self.x = self._integrate(self.x, *held, steps)
+        np.concatenate((self.x, u, self.zeta, w_g), out=self._memory)
+        self._integrate(self._memory, steps)
+        self.x = self._memory[: self.x.size].copy()
 
 
 @lru_cache(maxsize=64)
@@ -101,7 +105,7 @@ def _plant_step(vehicle: Vehicle, step_s: float) -> ca.Function:
 
 
 def _compiled(step: ca.Function) -> Integrator:
-    n_x, n_u = step.size1_in(0), step.size1_in(1)
+    n_x = step.size1_in(0)
     library = load_library(
         "the plant",
         {"plant_step.c": f"#include <math.h>\n\n{c_function(step)}\n{ADVANCE}"},
@@ -109,24 +113,17 @@ def _compiled(step: ca.Function) -> Integrator:
         {"plant_step.c": ("-O2", "-ffp-contract=off", f"-DN_X={n_x}")},
     )
     library.plant_advance.restype = None
-    memory = np.zeros(step.nnz_in())
-    address = ctypes.c_void_p(memory.ctypes.data)
 
-    def integrate(x: Array, u: Array, zeta: Array, w_g: Array, steps: int) -> Array:
-        memory[:n_x] = x
-        memory[n_x : n_x + n_u] = u
-        memory[n_x + n_u : -3] = zeta
-        memory[-3:] = w_g
-        library.plant_advance(address, steps)
-        return memory[:n_x].copy()
+    def integrate(memory: Array, steps: int) -> None:
+        library.plant_advance(ctypes.c_void_p(memory.ctypes.data), steps)
 
     return integrate
 
 
-def _interpreted(
-    step: ca.Function, x: Array, u: Array, zeta: Array, w_g: Array, steps: int
-) -> Array:
-    return np.asarray(_folded(step, steps)(x, u, zeta, w_g)).ravel()
+def _interpreted(step: ca.Function, memory: Array, steps: int) -> None:
+    ends = np.cumsum([step.size1_in(i) for i in range(step.n_in())])
+    x, *held = np.split(memory, ends[:-1])
+    x[:] = np.asarray(_folded(step, steps)(x, *held)).ravel()
 
 
 @lru_cache(maxsize=64)

@@ -8,6 +8,8 @@
 
 """The plant: accuracy against SciPy, limits, and its own parameters."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -82,3 +84,17 @@ def test_reset_repeats_the_same_flight():
     assert simulation.time_s == 0.0
     simulation.advance(0.5)
     np.testing.assert_array_equal(simulation.x, first)
+
+
+def test_plants_in_four_threads_fly_as_each_does_alone():
+    def fly_on(seed):
+        plant = Plant(VEHICLE, np.zeros(9), START, 1e-3)
+        # Long enough in compiled code that the threads overlap there.
+        for _ in range(5):
+            plant.advance(np.full(6, float(seed)), np.zeros(3), 2000)
+        return plant.x.tobytes()
+
+    with ThreadPoolExecutor(4) as threads:
+        together = list(threads.map(fly_on, range(8)))
+
+    assert together == [fly_on(seed) for seed in range(8)]

@@ -128,4 +128,8 @@ def trial_seed(seed: int, trial: int) -> int:
 
 @lru_cache(maxsize=4)
 def _points(plan: Plan, uncertainty: UncertaintySet, seed: int) -> NDArray[np.float64] | None:
-    return plan.points(uncertainty, seed)
+    points = plan.points(uncertainty, seed)
+    if points is not None:
+        # All trials of a process read the same array, perhaps from several threads.
+        points.setflags(write=False)
+    return points

@@ -11,13 +11,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from gtmr_model import CHANNELS, Tower
-from gtmr_nmpc import Controller, ControllerConfig, Mode
+from gtmr_nmpc import Controller, Mode
 from gtmr_sim import FlightLog, fly
 from gtmr_study.campaign.study import Study
 
@@ -92,9 +91,7 @@ def fly_trial(study: Study, trial: int, mode: Mode) -> Row:
         scenario = study.scenario(trial)
         zeta = np.round(scenario.zeta_array, 6).tolist()
         row.update(seed=scenario.seed, **dict(zip(CHANNELS, zeta, strict=True)))
-        controller = _controller(study.controller)
-        controller.mode = mode
-        controller.reset()
+        controller = Controller(study.controller, mode)
         log = fly(scenario, controller, study.duration_s, study.controller.sampling_time_s)
         row.update(status=FLOWN, **_figures(log, scenario.tower, study.controller.helix.offset_m))
     except Exception as error:
@@ -142,9 +139,3 @@ def _figures(log: FlightLog, tower: Tower, offset_m: float) -> Row:
         "solve_ms_median": round(float(median_ms), 4),
         "solve_ms_p99": round(float(p99_ms), 4),
     }
-
-
-@lru_cache(maxsize=2)
-def _controller(config: ControllerConfig) -> Controller:
-    # Building the functions of a controller takes as long as many of its steps.
-    return Controller(config)
