@@ -96,6 +96,20 @@ def test_other_horizons(horizon):
     compare_from(config, x, steps=4)
 
 
+@pytest.mark.parametrize("iteration", [CompiledIteration, InterpretedIteration])
+def test_rounding_decides_no_plan_where_a_margin_is_zero_by_symmetry(iteration):
+    config = ControllerConfig(horizon=10, tightening="gradient")
+    hover = config.helix.initial_state(config.tower, config.vehicle)
+    hover[0] -= 0.14
+    plans = []
+    for tilt_rad in (0.0, 1e-13, -1e-13):
+        x = hover.copy()
+        x[3:5] = tilt_rad
+        plans.append(Controller(config, "robust", iteration(config)).step(0.0, x))
+    assert difference(plans[0], plans[1]) < 1e-7
+    assert difference(plans[0], plans[2]) < 1e-7
+
+
 def compare_from(config, x, steps, mode="robust"):
     """Feed both controllers the states that the compiled one predicts."""
     compiled, reference = pair(config, mode)

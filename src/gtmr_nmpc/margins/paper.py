@@ -17,6 +17,9 @@ from gtmr_model import Tower, UncertaintySet, Vehicle
 
 Array = NDArray[np.float64]
 
+ZERO_MARGIN_M = 1e-12
+"""Terms of alpha_p below this are zero by symmetry, as in hover, and their sign is rounding's."""
+
 
 def clearance_gradient(positions: Array) -> Array:
     """Position part of J_yx, eq. (9): the rest of the row is zero.
@@ -92,6 +95,27 @@ def parametric_margin(pi_y: Array, uncertainty: UncertaintySet) -> Array:
         [m]; alpha_p is the sum over channels plus eps_s.
     """
     return np.abs(pi_y) * uncertainty.half_widths
+
+
+def worst_vertex(pi_y: Array, uncertainty: UncertaintySet) -> Array:
+    """Offset zeta that maximises Pi_y zeta over the box, the gradient of its maximum in Pi_y.
+
+    At Pi_y,j = 0 that gradient jumps: it takes 0, which is between its values on both sides.
+
+    Parameters
+    ----------
+    pi_y : NDArray, shape (N + 1, 9)
+        Sensitivity of the clearance constraint.
+    uncertainty : UncertaintySet
+        The box of zeta.
+
+    Returns
+    -------
+    NDArray, shape (N + 1, 9)
+        zeta.
+    """
+    counts = parametric_margin(pi_y, uncertainty) > ZERO_MARGIN_M
+    return np.where(counts, np.sign(pi_y), 0.0) * uncertainty.half_widths
 
 
 def gust_margin(

@@ -323,7 +323,7 @@ class RealTimeIteration:
         n, n_x, n_u = self.config.horizon, self.config.vehicle.n_x, self.config.vehicle.n_rotors
         gradient_y = margins.clearance_gradient(iterate.x[:, POSITION])
         pi_y = margins.clearance_sensitivity(iterate.x[:, POSITION], pi)
-        signs = np.sign(pi_y) * self.config.uncertainty.half_widths
+        signs = margins.worst_vertex(pi_y, self.config.uncertainty)
         margin, step = np.tril_indices(n)
         margin = margin + 1
         # lambda of step k for margin i: J_yx carried back from stage i to stage k + 1.

@@ -23,6 +23,12 @@ static void propagate_sensitivities(gtmr_controller *c)
     }
 }
 
+/*
+ * Terms of alpha_p below this are zero by symmetry, as in hover, and their sign is rounding's [m].
+ * The gradient of |Pi_y| jumps there: it takes 0, which is between its values on both sides.
+ */
+#define ZERO_MARGIN 1e-12
+
 static double sign(double a)
 {
     return (double)((a > 0.0) - (a < 0.0));
@@ -47,8 +53,10 @@ void clearance_along_iterate(gtmr_controller *c)
             if (is_robust(c)) {
                 Pi_y = y->gradient[0] * c->Pi[i][0][j] + y->gradient[1] * c->Pi[i][1][j];
             }
-            y->signs[j] = c->margin_scale * sign(Pi_y) * given->half_widths[j];
-            y->by_channel[j] = Pi_y * y->signs[j];
+            const double width = given->half_widths[j];
+            const double counts = fabs(Pi_y) * width > ZERO_MARGIN;
+            y->signs[j] = counts * c->margin_scale * sign(Pi_y) * width;
+            y->by_channel[j] = fabs(Pi_y) * (c->margin_scale * width);
             y->alpha_p += y->by_channel[j];
         }
         const double distance = y->rho - given->tower_radius_m;
