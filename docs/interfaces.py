@@ -6,7 +6,10 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Writes docs/interfaces.md from the code: `.venv/bin/python docs/interfaces.py`."""
+"""Writes docs/interfaces.md and config/parameters.yaml from the code.
+
+Run `.venv/bin/python docs/interfaces.py`.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +24,7 @@ from gtmr_nmpc.node import NmpcNode, NmpcParameters
 from gtmr_sim.node import SimNode, SimParameters
 
 PAGE = Path(__file__).with_suffix(".md")
+PARAMETER_FILE = Path(__file__).parents[1] / "config" / "parameters.yaml"
 NODES = {
     "sim": (SimNode, SimParameters),
     "nmpc": (NmpcNode, NmpcParameters),
@@ -40,7 +44,11 @@ A parameter marked *in flight* may change while the node runs, by `ros2 param se
 or several at once by `set_parameters_atomically`: it counts from the next controller or
 simulator step on. All others are read-only after the start. A value that is refused changes
 nothing, and the answer says why. Files of parameters for all nodes are in `config/ros`; every
-node also has what every ROS 2 node has, such as `use_sim_time`.
+node also has what every ROS 2 node has, such as `use_sim_time`. `config/parameters.yaml` has every
+parameter with its default, to copy from.
+
+A name that does not exist is refused at the start, on the command line and in files. A section
+for any node (`/**`) may name what only some nodes of the suite have.
 
 After a switch of `mode` the margins come or go over `switch_time_s`, so that the commands make
 no jump. `tower.min_clearance_m` is known to each node by itself: set it in all three.
@@ -57,6 +65,16 @@ def page() -> str:
             _parameters(declarations(model(), node.PRESETS, node.DYNAMIC)),
         ]
     return "\n".join(parts)
+
+
+def parameter_file() -> str:
+    """Return a parameter file of all nodes with every default, in YAML."""
+    lines = ["# Every parameter with its default; docs/interfaces.md says what each means.\n"]
+    for name, (node, model) in NODES.items():
+        lines.append(f"/**/{name}:\n  ros__parameters:\n")
+        for declared in declarations(model(), node.PRESETS, node.DYNAMIC):
+            lines.append(f"    {declared.name}: {_text(declared.value)}\n")
+    return "".join(lines)
 
 
 def _topics() -> str:
@@ -121,3 +139,4 @@ def _table(heads: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
 
 if __name__ == "__main__":
     PAGE.write_text(page(), encoding="utf-8")
+    PARAMETER_FILE.write_text(parameter_file(), encoding="utf-8")

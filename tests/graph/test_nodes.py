@@ -271,6 +271,7 @@ def test_a_late_odometry_is_counted_and_the_controller_goes_on_as_if_it_had_not_
         (NMPC, {"mode": "bold"}, "'nominal' or 'robust'"),
         (SIM, {"seed": "0.5"}, "expected integer"),
         (NMPC, {"tower.radius_m": "-1.0"}, "out of range"),
+        (NMPC, {"horizonn": "30"}, "no parameter horizonn: the closest is horizon"),
     ],
 )
 def test_a_bad_parameter_ends_the_node_with_one_clear_line(graph, module, parameters, reason):

@@ -76,11 +76,19 @@ def load():
         rclpy.shutdown(context=context)
 
 
-def test_the_generated_page_is_up_to_date():
+@pytest.mark.parametrize(
+    ("file", "text"), [("PAGE", "page"), ("PARAMETER_FILE", "parameter_file")]
+)
+def test_what_is_generated_is_up_to_date(file, text):
     generator = runpy.run_path(str(ROOT / "docs" / "interfaces.py"))
-    assert generator["PAGE"].read_text(encoding="utf-8") == generator["page"](), (
+    assert generator[file].read_text(encoding="utf-8") == generator[text](), (
         "run .venv/bin/python docs/interfaces.py"
     )
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_the_file_of_all_parameters_is_that_of_the_defaults(load, name):
+    assert load(name, ROOT / "config" / "parameters.yaml") == NODES[name][1]()
 
 
 def test_the_topics_of_the_readme_are_those_of_the_code():

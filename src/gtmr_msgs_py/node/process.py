@@ -20,6 +20,7 @@ from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from gtmr_model import ConfigError
+from gtmr_msgs_py.node.given_names import refuse_unknown_names
 from gtmr_msgs_py.node.suite_node import SuiteNode
 
 try:
@@ -74,8 +75,10 @@ def run(
     node = None
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        managed = MANAGED in (sys.argv if args is None else args)
+        command_line = sys.argv if args is None else args
+        managed = MANAGED in command_line
         node = make_node(managed)
+        refuse_unknown_names(node, command_line)
         if not managed:
             node.start()
         # What start-up made lives as long as the process: no collection need look at it again.

@@ -1,0 +1,99 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Parameters that were given to a node but that it does not have: rclpy drops them in silence."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Sequence
+from importlib.resources import files
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from gtmr_model import ConfigError
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+Section = tuple[str, set[str]]
+"""Which nodes a part of a parameter file is for, and the names in it."""
+
+
+def refuse_unknown_names(node: Node, args: Sequence[str]) -> None:
+    """Refuse parameters that do not exist, after a node has declared those that do.
+
+    A section of a file for any node, such as ``/**``, may name parameters of another node of the
+    suite; what is given to this node alone may not.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Of the suite.
+    args : sequence of str
+        Its command line.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such parameter; the text names the closest.
+    """
+    # rclpy has no public name for what the command line and the parameter files say.
+    unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)]
+    if not unknown:
+        return
+    shared = _shared_names(args)
+    suite = {section.rpartition("/")[2]: names for section, names in _sections(_every_node())}
+    own = set(node.list_parameters([], 0).names)
+    for name in sorted(unknown):
+        others = sorted(other for other, names in suite.items() if name in names)
+        if others and name in shared:
+            continue
+        known = own.union(*suite.values()) if name in shared else own
+        (closest,) = difflib.get_close_matches(name, sorted(known), n=1, cutoff=0.0)
+        hint = f"it is one of {' and '.join(others)}" if others else f"the closest is {closest}"
+        raise ConfigError(f"{node.get_name()}: there is no parameter {name}: {hint}")
+
+
+def _shared_names(args: Sequence[str]) -> set[str]:
+    """Names in the sections of parameter files that are for any node, and nowhere else."""
+    shared: set[str] = set()
+    alone: set[str] = set()
+    for option, value in pairwise(args):
+        if option == "--params-file":
+            content = yaml.safe_load(Path(value).read_text(encoding="utf-8"))
+            for section, names in _sections(content):
+                for_any = "*" in section.rpartition("/")[2]
+                (shared if for_any else alone).update(names)
+        elif option in ("-p", "--param"):
+            alone.add(value.partition(":=")[0].rpartition(":")[2])
+    return shared - alone
+
+
+def _every_node() -> Any:
+    path = files("gtmr_model") / "config" / "parameters.yaml"
+    return yaml.safe_load(path.read_text(encoding="utf-8"))
+
+
+def _sections(tree: Any, above: str = "") -> Iterator[Section]:
+    for key, value in (tree or {}).items():
+        if key == "ros__parameters":
+            yield above, set(_flat(value))
+        elif isinstance(value, dict):
+            yield from _sections(value, f"{above}/{key}".replace("//", "/"))
+
+
+def _flat(tree: Any, above: str = "") -> Iterator[str]:
+    for key, value in (tree or {}).items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{above}{key}.")
+        else:
+            yield f"{above}{key}"
