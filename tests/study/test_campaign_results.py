@@ -19,7 +19,13 @@ from gtmr_nmpc import Controller
 from gtmr_sim import FlightLog, fly
 from gtmr_study.campaign import trial
 from gtmr_study.campaign.study import Study
-from gtmr_study.campaign.summary import channel_shares, summarise, wilson_interval
+from gtmr_study.campaign.summary import (
+    LEAST_TRIALS_FOR_SHARES,
+    SHARE_HALF_WIDTH,
+    channel_shares,
+    summarise,
+    wilson_interval,
+)
 from gtmr_study.campaign.trial import COLUMNS, QUANTILE_COLUMNS, fly_trial
 
 
@@ -168,21 +174,44 @@ def test_wilson_interval_is_that_of_the_literature(events, trials, low, high):
     assert wilson_interval(events, trials) == pytest.approx((low, high), abs=1e-4)
 
 
-def test_the_ranking_finds_the_channel_that_matters():
-    rng = np.random.default_rng(1)
-    study = Study(trials=400)
-    zeta = np.array([study.scenario(k).zeta for k in range(400)])
-    trials = pd.DataFrame(zeta, columns=COLUMNS[5:14]).assign(
-        status="flown",
-        # Towards or away: it is the size of the wind that counts, not its sign.
-        min_clearance_m=0.3
-        - 0.1 * np.abs(zeta[:, 6])
-        + 0.3 * zeta[:, 0]
-        + rng.normal(0, 1e-3, 400),
+def additive(seed, n=500):
+    """Trials whose least clearance is a sum of channels' effects with the variances given."""
+    rng = np.random.default_rng(seed)
+    zeta = rng.uniform(-1.0, 1.0, (n, 9))
+    # Variance 1 each: linear, and towards or away, where it is the size that counts.
+    effects = np.sqrt(3.0) * zeta
+    effects[:, 6] = np.sqrt(12.0) * (np.abs(zeta[:, 6]) - 0.5)
+    clearance = effects @ np.sqrt(0.01 * SHARES) + np.sqrt(0.01 * 0.05) * rng.normal(size=n)
+    return pd.DataFrame(zeta, columns=COLUMNS[5:14]).assign(
+        status="flown", min_clearance_m=clearance
     )
 
-    shares = channel_shares(trials)
 
-    assert list(shares.index[:2]) == ["w_bx", "mass"]
-    assert shares["w_bx"] > 0.5
-    assert shares.iloc[2:].max() < 0.05
+SHARES = np.array([0.3, 0.0, 0.0, 0.0, 0.1, 0.05, 0.5, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_known_shares_are_recovered(seed):
+    shares = channel_shares(additive(seed))
+
+    assert list(shares.index[:4]) == ["w_bx", "mass", "thrust", "drag"]
+    for name, known in zip(COLUMNS[5:14], SHARES, strict=True):
+        share, low, high = shares.loc[name]
+        assert share == pytest.approx(known, abs=SHARE_HALF_WIDTH), name
+        assert 0.0 <= low <= share <= high <= 1.0, name
+
+
+@pytest.mark.parametrize("first", [0, 1000])
+def test_intervals_of_shares_hold_as_often_as_they_say(first):
+    held, widest = np.zeros(9), 0.0
+    for seed in range(first, first + 100):
+        shares = channel_shares(additive(seed, LEAST_TRIALS_FOR_SHARES)).loc[list(COLUMNS[5:14])]
+        held += (shares["low"] <= SHARES) & (shares["high"] >= SHARES)
+        widest = max(widest, (shares["high"] - shares["low"]).mean())
+
+    assert held.min() >= 90
+    assert widest <= 2.0 * SHARE_HALF_WIDTH
+
+
+def test_a_channel_that_does_not_vary_has_no_share():
+    assert "drag" not in channel_shares(additive(3).assign(drag=0.0)).index

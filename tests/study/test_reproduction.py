@@ -120,7 +120,7 @@ def reproduced(tmp_path_factory):
 def test_table_and_figures_are_there_as_png_and_pdf(reproduced):
     folder, results = reproduced
 
-    for name in ("table-ii", "fig-1", "fig-2", "first-order", "residual", "channels"):
+    for name in ("table-ii", "fig-1", "fig-2", "first-order", "residual"):
         assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
         assert (folder / f"{name}.pdf").read_bytes().startswith(b"%PDF")
     assert json.loads((folder / RESULTS_FILE).read_text()) == json.loads(json.dumps(results))

@@ -23,7 +23,13 @@ from matplotlib.figure import Figure
 from gtmr_monitor.report import look
 from gtmr_monitor.report.drawing import new_figure, save
 from gtmr_study.campaign.study import Study
-from gtmr_study.campaign.summary import channel_shares, summarise, wilson_interval
+from gtmr_study.campaign.summary import (
+    LEAST_TRIALS_FOR_SHARES,
+    SHARE_HALF_WIDTH,
+    channel_shares,
+    summarise,
+    wilson_interval,
+)
 from gtmr_study.campaign.trial import FLOWN
 from gtmr_study.campaign.trials_file import read_study, read_trials
 
@@ -165,23 +171,42 @@ def violations(campaign: Campaign) -> Figure:
 
 
 def channels(campaign: Campaign) -> Figure:
-    """Draw which channels drive the least clearance."""
+    """Draw which channels drive the least clearance, with their 95 % intervals."""
     figure = new_figure(6.4, 4.0)
     axes = figure.subplots()
     shares = {mode: 100.0 * channel_shares(rows) for mode, rows in campaign.flown.items()}
     order = next(iter(shares.values())).index[::-1]
     height = 0.8 / len(shares)
-    for k, (mode, share) in enumerate(shares.items()):
+    for k, (mode, found) in enumerate(shares.items()):
         place = np.arange(len(order)) + height * (0.5 * (len(shares) - 1) - k)
-        axes.barh(place, share[order], height, color=look.MODE_COLOURS[mode], label=mode)
+        share, low, high = (found[column].reindex(order) for column in ("share", "low", "high"))
+        axes.barh(
+            place, share, height, color=look.MODE_COLOURS[mode], label=mode,
+            xerr=(share - low, high - share),
+            error_kw={"ecolor": look.INK, "elinewidth": 1.0, "capsize": 2.0},
+        )  # fmt: skip
     axes.set_yticks(range(len(order)), [look.MARGIN_LABELS[name] for name in order])
     axes.set(
-        xlabel="share of the variance that the channel alone explains [%]",
+        xlabel="share of the variance that the channel alone explains [%]", xlim=(0.0, 100.0),
         title="What drives the least clearance of a trial",
-    )
+    )  # fmt: skip
     axes.grid(visible=False, axis="y")
     axes.legend(loc="lower right")
     return figure
+
+
+def why_no_channels(campaign: Campaign) -> str:
+    """Say in one sentence why `channels` would show nothing to rely on; empty if it would not."""
+    fewest = min(map(len, campaign.flown.values()), default=0)
+    if fewest < LEAST_TRIALS_FOR_SHARES:
+        return (
+            f"What drives the least clearance cannot be told from {fewest} trials a mode: below "
+            f"{LEAST_TRIALS_FOR_SHARES} a channel's share of the variance is known to no better "
+            f"than ±{100.0 * SHARE_HALF_WIDTH:g} %."
+        )
+    if any(channel_shares(rows).empty for rows in campaign.flown.values()):
+        return "What drives the least clearance cannot be told: it, or every channel, is constant."
+    return ""
 
 
 def solve_times(campaign: Campaign) -> Figure:
@@ -217,6 +242,16 @@ FIGURES: dict[str, Callable[[Campaign], Figure]] = {
 """The figures of a campaign by name."""
 
 
+def figures_of(campaign: Campaign) -> dict[str, Callable[[], Figure]]:
+    """List how each figure of a campaign is drawn, of those that it has trials enough for."""
+    if not campaign.flown:
+        return {}
+    left_out = ("channels",) if why_no_channels(campaign) else ()
+    return {
+        name: partial(draw, campaign) for name, draw in FIGURES.items() if name not in left_out
+    }
+
+
 def write_figures(folder: Path) -> list[Path]:
     """Draw every figure of a campaign into its folder, as PNG and PDF.
 
@@ -235,11 +270,5 @@ def write_figures(folder: Path) -> list[Path]:
     InputError
         If the folder holds no campaign.
     """
-    campaign = Campaign.read(folder)
-    if not campaign.flown:
-        return []
-    return [
-        path
-        for name, draw in FIGURES.items()
-        for path in save(partial(draw, campaign), folder / name)
-    ]
+    figures = figures_of(Campaign.read(folder))
+    return [path for name, draw in figures.items() for path in save(draw, folder / name)]

@@ -11,7 +11,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from typing import Any
 from gtmr_monitor.report import look
 from gtmr_monitor.report.drawing import inline_svg, save
 from gtmr_monitor.report.style import STYLE
-from gtmr_study.campaign.figures import FIGURES, Campaign
+from gtmr_study.campaign.figures import Campaign, figures_of, why_no_channels
 
 CAPTIONS = {
     "residual": "s = d<sub>min</sub> − d<sub>T</sub>, pooled over all instants of all trials; "
@@ -28,7 +27,8 @@ CAPTIONS = {
     "least-clearance": "Each trial counts with the least clearance of its flight.",
     "violations": "A trial counts if any instant violates the clearance constraint.",
     "channels": "How much of the variance of the least clearance is explained by one channel of "
-    "the true mismatch alone. What is missing to 100 % is the interplay of channels, and gusts.",
+    "the true mismatch alone, with 95 % intervals. What is missing to 100 % is the interplay of "
+    "channels, and gusts.",
     "solve-times": "Preparation and feedback together, wall time, with as many flights at once "
     "as there were workers.",
 }
@@ -76,9 +76,8 @@ def _write_figures(campaigns: Sequence[Campaign], out_html: Path) -> list[Path]:
     for number, campaign in enumerate(campaigns, start=1):
         # One campaign's figures need no number.
         prefix = out_html.stem if len(campaigns) == 1 else f"{out_html.stem}-{number}"
-        for name, draw in FIGURES.items() if campaign.flown else ():
-            stem = out_html.with_name(f"{prefix}-{name}")
-            paths += save(partial(draw, campaign), stem, ("png",))
+        for name, draw in figures_of(campaign).items():
+            paths += save(draw, out_html.with_name(f"{prefix}-{name}"), ("png",))
     return paths
 
 
@@ -140,9 +139,8 @@ def campaign_section(campaign: Campaign) -> str:
     if not flown:
         return f"<h2>{escape(campaign.name)}</h2>{warnings}<p>No trial has flown yet.</p>"
     figures = "\n".join(
-        f'<figure id="{name}">{inline_svg(partial(draw, campaign))}</figure>\n'
-        f"<p>{CAPTIONS[name]}</p>"
-        for name, draw in FIGURES.items()
+        f'<figure id="{name}">{inline_svg(draw)}</figure>\n<p>{CAPTIONS[name]}</p>'
+        for name, draw in figures_of(campaign).items()
     )
     return f"""<h2>{escape(campaign.name)}</h2>
 {warnings}
@@ -152,7 +150,8 @@ def campaign_section(campaign: Campaign) -> str:
 <section><h2>Conditions</h2>
 {table([], _conditions(campaign))}</section>
 </div>
-{figures}"""
+{figures}
+<p>{why_no_channels(campaign)}</p>"""
 
 
 def table(heads: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]) -> str:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from gtmr_model import CHANNELS
 from gtmr_nmpc import MODES
@@ -22,8 +23,14 @@ from gtmr_study.campaign.trial import FLOWN, QUANTILE_COLUMNS
 
 CONFIDENCE_Z = 1.959964
 """Quantile of the normal distribution for intervals of 95 % [-]."""
-GROUPS = 8
-"""Into how many groups of equal size a channel's values are sorted for its share of variance."""
+GROUPS = 16
+"""Into how many groups of equal size a channel's values are sorted for its share of variance; of
+an effect that is linear they see 1 - 1 / GROUPS^2."""
+SHARE_HALF_WIDTH = 0.1
+"""Half the interval of a share that is drawn, at most [-]."""
+LEAST_TRIALS_FOR_SHARES = math.ceil(16.0 / 27.0 * (CONFIDENCE_Z / SHARE_HALF_WIDTH) ** 2)
+"""Trials a mode from which `channel_shares` are shown. A share R^2 has a variance of about
+4 R^2 (1 - R^2)^2 / n (Wishart 1931), at most 16 / (27 n), where R^2 = 1/3."""
 
 
 def summarise(trials: pd.DataFrame) -> dict[str, dict[str, Any]]:
@@ -107,8 +114,8 @@ def wilson_interval(events: int, trials: int) -> tuple[float, float]:
     return max(0.0, (centre - spread) / scale), min(1.0, (centre + spread) / scale)
 
 
-def channel_shares(trials: pd.DataFrame) -> pd.Series:
-    """Which channel of zeta drives the least clearance: its share of the variance, alone.
+def channel_shares(trials: pd.DataFrame) -> pd.DataFrame:
+    """Find which channel of zeta drives the least clearance: its share of the variance, alone.
 
     Trials are sorted by a channel's value into groups of equal size; the share is the variance of
     the groups' means over the whole variance, corrected for chance (epsilon squared, Kelley 1935).
@@ -123,24 +130,37 @@ def channel_shares(trials: pd.DataFrame) -> pd.Series:
 
     Returns
     -------
-    pandas.Series
-        Share by channel [-], falling; at least 0. NaN where a channel does not vary.
+    pandas.DataFrame
+        By channel that varies, largest share first: ``share`` and its interval of 95 % by the
+        jackknife (Efron 1981), ``low`` and ``high``, all from 0 to 1 [-].
     """
     flown = trials[trials["status"] == FLOWN]
-    clearance = flown["min_clearance_m"].astype(float)
-    shares = {name: _share(flown[name].astype(float), clearance) for name in CHANNELS}
-    return pd.Series(shares).sort_values(ascending=False)
+    clearance = flown["min_clearance_m"].to_numpy(float)
+    found = {}
+    for name in CHANNELS:
+        share = _share(flown[name].astype(float), clearance)
+        if share is not None:
+            found[name] = np.clip(share, 0.0, 1.0)
+    shares = pd.DataFrame.from_dict(found, orient="index", columns=["share", "low", "high"])
+    return shares.sort_values("share", ascending=False)
 
 
-def _share(channel: pd.Series, clearance: pd.Series) -> float:
-    n, total = len(clearance), float(((clearance - clearance.mean()) ** 2).sum())
-    if channel.nunique() <= GROUPS:
-        groups = channel
-    else:
-        groups = pd.qcut(channel.rank(method="first"), GROUPS, labels=False)
-    count = groups.nunique()
-    if count < 2 or n <= count or total == 0.0:
-        return np.nan
-    means = clearance.groupby(groups).transform("mean")
-    within = float(((clearance - means) ** 2).sum())
-    return max(0.0, 1.0 - (within / (n - count)) / (total / (n - 1)))
+def _share(channel: pd.Series, y: NDArray[np.float64]) -> tuple[float, float, float] | None:
+    """Epsilon squared of one channel, and the bounds of its interval; None if it has none."""
+    if channel.nunique() > GROUPS:
+        channel = pd.qcut(channel.rank(method="first"), GROUPS, labels=False)
+    group = np.unique(channel, return_inverse=True)[1]
+    n, size = len(y), np.bincount(group)
+    off, off_group = y - y.mean(), y - (np.bincount(group, y) / size)[group]
+    total, within = off @ off, off_group @ off_group
+    if len(size) < 2 or n <= len(size) + 1 or total == 0.0:
+        return None
+    share = 1.0 - within / (n - len(size)) * (n - 1) / total
+    # The same without each trial in turn; a trial that is alone in its group takes that along.
+    alone = size[group] == 1
+    with np.errstate(divide="ignore", invalid="ignore"):
+        total = total - off**2 * n / (n - 1)
+        within = within - np.where(alone, 0.0, off_group**2 * size[group] / (size[group] - 1))
+        without = 1.0 - within / (n - 1 - len(size) + alone) * (n - 2) / total
+    half_width = CONFIDENCE_Z * math.sqrt((n - 1) * without.var())
+    return share, share - half_width, share + half_width

@@ -108,7 +108,7 @@ def campaign_command(
         ),
         gust=_changes(kind=gust),
     )
-    from gtmr_study.campaign.figures import write_figures
+    from gtmr_study.campaign.figures import Campaign, why_no_channels, write_figures
     from gtmr_study.campaign.run import fly_campaign
 
     with _reported_progress() as show:
@@ -116,6 +116,7 @@ def campaign_command(
         write_figures(out)
     write_json(json, summary)
     print_summary(summary)
+    console.print(why_no_channels(Campaign.read(out)), soft_wrap=True)
     console.print(f"Results: {out}\nReport:  gtmr report {out}")
 
 
