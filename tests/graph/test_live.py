@@ -21,7 +21,7 @@ from support.loop_messages import odometry_message, rotor_states_message
 from support.ros_graph import RosGraph
 
 from gtmr_model import Tower, Vehicle
-from gtmr_msgs_py import topics
+from gtmr_msgs_py import contract, topics
 from gtmr_msgs_py.messages import clearance, markers, path, tightening
 from gtmr_msgs_py.wire import stamps
 from gtmr_study.cli import app as cli
@@ -71,7 +71,7 @@ def test_a_browser_draws_the_page_and_asks_nobody_else_for_anything(page):
     tower = Tower()
     page.draw(markers.tower(tower))
     page.add_joints(tower)
-    page.draw(markers.vehicle(Vehicle.paper(), AT_REST), topics.BASE_LINK)
+    page.draw(markers.vehicle(Vehicle.paper(), AT_REST), contract.BASE_LINK)
     page.draw(markers.tightened_shells(tower, MARGINS, PLAN[:, 2], "robust"))
     page.draw(markers.plan(PLAN, "robust"))
     page.move(odometry_message(0, STATE).pose.pose)

@@ -22,8 +22,8 @@ from visualization_msgs.msg import Marker
 from gtmr_model import CHANNELS, Tower, Vehicle
 from gtmr_model.dynamics import rotation
 from gtmr_monitor.report import look
-from gtmr_msgs_py import topics
-from gtmr_msgs_py.messages import markers, tightening, transforms
+from gtmr_msgs_py import contract, topics
+from gtmr_msgs_py.messages import markers, transforms
 from gtmr_msgs_py.wire import attitude
 from gtmr_nmpc import ControllerConfig
 
@@ -150,7 +150,7 @@ def test_rviz_shows_topics_that_exist(rviz):
 def test_rviz_shows_every_namespace(rviz):
     (display,) = (each for each in rviz["Displays"] if each["Class"].endswith("/MarkerArray"))
     assert display["Namespaces"] == dict.fromkeys(markers.NAMESPACES, True)
-    assert rviz["Global Options"]["Fixed Frame"] == topics.MAP
+    assert rviz["Global Options"]["Fixed Frame"] == contract.MAP
 
 
 @pytest.fixture(scope="module")
@@ -187,7 +187,7 @@ def test_foxglove_shows_every_namespace(foxglove):
 
 
 def test_foxglove_plots_the_margins_of_the_last_stage_by_their_channel(foxglove):
-    columns = tightening.COLUMNS
+    columns = contract.TIGHTENING_COLUMNS
     last = ControllerConfig().horizon * len(columns)
     expected = {
         look.MARGIN_LABELS[name]: f"/tightening.data[{last + columns.index(name)}]"

@@ -15,7 +15,7 @@ import math
 from sensor_msgs.msg import Range
 from std_msgs.msg import Float64
 
-from gtmr_msgs_py.topics import BASE_LINK
+from gtmr_msgs_py.contract import BASE_LINK
 from gtmr_msgs_py.wire import stamps
 
 

@@ -21,7 +21,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from gtmr_model import Tower, Vehicle
 from gtmr_model.dynamics import ATTITUDE, POSITION, ROTORS
-from gtmr_msgs_py.topics import MAP
+from gtmr_msgs_py.contract import MAP
 from gtmr_msgs_py.wire import attitude, stamps
 
 DRAWN_HEIGHT_M = 20.0

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from rclpy.serialization import deserialize_message
 
 from gtmr_model.dynamics import ATTITUDE, POSITION, RATE, VELOCITY
-from gtmr_msgs_py.topics import BASE_LINK, MAP
+from gtmr_msgs_py.contract import BASE_LINK, MAP
 from gtmr_msgs_py.wire import attitude, stamps
 from gtmr_msgs_py.wire.fixed_cdr import FixedCdr
 from gtmr_msgs_py.wire.message_error import MessageError

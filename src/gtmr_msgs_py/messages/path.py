@@ -15,7 +15,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from numpy.typing import ArrayLike, NDArray
 
-from gtmr_msgs_py.topics import MAP
+from gtmr_msgs_py.contract import MAP
 from gtmr_msgs_py.wire import attitude, stamps
 
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory
 
-from gtmr_msgs_py.messages.rotor_states import RAD_PER_TURN, rotor_names
+from gtmr_msgs_py.contract import RAD_PER_TURN, rotor_names
 from gtmr_msgs_py.wire import stamps
 from gtmr_msgs_py.wire.fixed_cdr import FixedCdr
 from gtmr_msgs_py.wire.message_error import MessageError

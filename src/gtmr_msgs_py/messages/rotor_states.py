@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import cache
 
 import numpy as np
@@ -18,28 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
+from gtmr_msgs_py.contract import RAD_PER_TURN, rotor_names
 from gtmr_msgs_py.wire import stamps
 from gtmr_msgs_py.wire.fixed_cdr import FixedCdr
 from gtmr_msgs_py.wire.message_error import MessageError
-
-RAD_PER_TURN = 2.0 * math.pi
-"""From Hz to rad/s, and from Hz/s to rad/s^2."""
-
-
-def rotor_names(n_rotors: int) -> list[str]:
-    """Name the rotors, as joints.
-
-    Parameters
-    ----------
-    n_rotors : int
-        N_p.
-
-    Returns
-    -------
-    list of str
-        ``rotor_0`` on, in the order of the state.
-    """
-    return [f"rotor_{i}" for i in range(n_rotors)]
 
 
 def decode(msg: JointState, n_rotors: int) -> tuple[int, NDArray[np.float64]]:

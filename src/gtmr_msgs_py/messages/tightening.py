@@ -17,13 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
-from gtmr_model.uncertainty import CHANNELS, N_ZETA
+from gtmr_model.uncertainty import N_ZETA
+from gtmr_msgs_py.contract import TIGHTENING_COLUMNS as COLUMNS
+from gtmr_msgs_py.contract import TIGHTENING_STAGE as STAGE
 from gtmr_msgs_py.wire.message_error import MessageError
-
-COLUMNS = (*CHANNELS, "eps_s", "alpha_g", "slack")
-"""What a row holds: the terms of alpha_p, eq. (12), alpha_g, eq. (13), and the slack [m]."""
-STAGE = "stage"
-"""Label of the first dimension."""
 
 
 @dataclass(frozen=True)

@@ -14,16 +14,19 @@ transform, and every view of the suite still works, since all else is published 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from geometry_msgs.msg import TransformStamped, Vector3
 from numpy.typing import ArrayLike
 
 from gtmr_model.dynamics import ATTITUDE, POSITION
-from gtmr_msgs_py.topics import BASE_LINK, MAP, TFMessage
+from gtmr_msgs_py.contract import BASE_LINK, MAP, TF
+from gtmr_msgs_py.topics import message_class
 from gtmr_msgs_py.wire import attitude, stamps
 
 
-def encode(stamp_ns: int, x: ArrayLike) -> TFMessage:
+def encode(stamp_ns: int, x: ArrayLike) -> Any:
     """Make the message of a state, which needs ``tf2_msgs``.
 
     Parameters
@@ -38,7 +41,7 @@ def encode(stamp_ns: int, x: ArrayLike) -> TFMessage:
     tf2_msgs.msg.TFMessage
         The one transform from `map` to `base_link`.
     """
-    return TFMessage(transforms=[transform(stamp_ns, x)])
+    return message_class(TF.type_name)(transforms=[transform(stamp_ns, x)])
 
 
 def transform(stamp_ns: int, x: ArrayLike) -> TransformStamped:

@@ -18,19 +18,13 @@ from rcl_interfaces.msg import Parameter, ParameterEvent
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.qos import qos_profile_parameter_events
 
+from gtmr_msgs_py import contract
 from gtmr_msgs_py.topics import Topic
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-PARAMETER_EVENTS = Topic(
-    "/parameter_events",
-    ParameterEvent,
-    (),
-    (),
-    "parameters that were declared or changed",
-    qos_profile_parameter_events,
-)
+PARAMETER_EVENTS = Topic.of(contract.PARAMETER_EVENTS, qos_profile_parameter_events)
 """Where every ROS 2 node tells of its parameters."""
 
 

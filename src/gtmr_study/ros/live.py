@@ -22,6 +22,7 @@ from std_msgs.msg import Float64
 
 from gtmr_model.dynamics import POSITION
 from gtmr_msgs_py import topics
+from gtmr_msgs_py.contract import BASE_LINK
 from gtmr_msgs_py.messages import markers, odometry, path, rotor_states, tightening
 from gtmr_msgs_py.topics import Topic
 from gtmr_msgs_py.wire import attitude, stamps
@@ -137,7 +138,7 @@ class _Flight:
             _, xi = rotor_states.decode(rotors, view.vehicle.n_rotors)
             # In its own frame the vehicle stays as it is but for the thrust: one pose moves all.
             at_rest = np.concatenate([np.zeros_like(body), xi])
-            page.draw(markers.vehicle(view.vehicle, at_rest), topics.BASE_LINK)
+            page.draw(markers.vehicle(view.vehicle, at_rest), BASE_LINK)
             page.move(odom.pose.pose)
             self._pose = body[POSITION], attitude.rotation(odom.pose.pose.orientation)
             self._draw_track(body[POSITION])
@@ -150,7 +151,7 @@ class _Flight:
             self._margin_m = float(margins_m.max())
             # Seen from the vehicle the plan hardly moves, so that even a browser that draws
             # lines later than poses shows the two together.
-            page.draw(markers.plan((planned - here) @ turned, self._mode), topics.BASE_LINK)
+            page.draw(markers.plan((planned - here) @ turned, self._mode), BASE_LINK)
             page.draw(markers.tightened_shells(view.tower, margins_m, planned[:, 2], self._mode))
         reference = self._take(topics.REFERENCE)
         if reference is not None:

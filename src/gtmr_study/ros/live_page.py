@@ -30,8 +30,8 @@ from visualization_msgs.msg import Marker
 
 from gtmr_model import Tower
 from gtmr_monitor.report import look
+from gtmr_msgs_py.contract import BASE_LINK, MAP
 from gtmr_msgs_py.messages import markers
-from gtmr_msgs_py.topics import BASE_LINK, MAP
 from gtmr_study.ros.live_status import LEGEND, Standing, status
 
 LOOPBACK = "127.0.0.1"

@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from threading import Event
 
@@ -179,14 +178,12 @@ def _is_played(message: BagMessage) -> bool:
 
 
 def _message_class(playlist: Playlist, msgtype: str) -> type:
-    package, kind, name = msgtype.split("/")
     try:
-        message: type = getattr(import_module(f"{package}.{kind}"), name)
-    except (ImportError, AttributeError):
+        return topics.message_class(msgtype)
+    except ImportError:
         raise BagError(
             f"{playlist.path}: {msgtype} is not installed, so cannot be played"
         ) from None
-    return message
 
 
 @contextmanager

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from gtmr_monitor.bag.flight import PARAMETER_EVENTS, parameter_value, strictly_later
 from gtmr_monitor.bag.format import BagError
 from gtmr_monitor.bag.reader import BagMessage, read_messages
-from gtmr_msgs_py import topics
+from gtmr_msgs_py import contract, topics
 from gtmr_msgs_py.messages import odometry, tightening
 from gtmr_msgs_py.messages import path as plan_path
 from gtmr_msgs_py.messages.tightening import Tightening
@@ -251,7 +251,7 @@ def _states(path: Path, messages: Iterable[BagMessage], notes: list[str]) -> lis
     if unusable:
         notes.append(f"{unusable} odometry messages are not finite or have no unit quaternion")
     for world, body in frames:
-        if (world, body) != (topics.MAP, topics.BASE_LINK):
+        if (world, body) != (contract.MAP, contract.BASE_LINK):
             notes.append(f"frames {world!r} and {body!r} are taken as world ENU and body FLU")
     return strictly_later(_after_reset(states), key=lambda state: state.stamp_ns)
 
