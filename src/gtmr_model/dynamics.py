@@ -140,6 +140,24 @@ def rk4_step(x: Any, step_s: float, derivative: Any) -> Any:
     return x + step_s / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
 
 
+def discrete_step(x: Any, u: Any, zeta: Any, w_g: Any, vehicle: Vehicle, step_s: float) -> Any:
+    """Discretise eq. (3): one RK4 step with input, zeta and gust held, on CasADi symbols.
+
+    Parameters
+    ----------
+    x, u, zeta, w_g, vehicle
+        As of `state_derivative`.
+    step_s : float
+        Step length [s].
+
+    Returns
+    -------
+    casadi expression, shape (12 + N_p,)
+        State at the end of the step.
+    """
+    return rk4_step(x, step_s, lambda x: state_derivative(x, u, zeta, w_g, vehicle))
+
+
 def symbols(vehicle: Vehicle) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
     """Make fresh symbols x, u, zeta, w_g of the right sizes for a vehicle.
 

@@ -20,7 +20,7 @@ from gtmr_codegen.library import CompileError, warn_interpreted
 from gtmr_model.dynamics import YAW
 from gtmr_nmpc.compiled.iteration import CompiledIteration
 from gtmr_nmpc.config import MODES, ControllerConfig, Mode
-from gtmr_nmpc.iteration import Iteration, Plan
+from gtmr_nmpc.iteration import Iteration, IterationResult
 from gtmr_nmpc.reference.interpreted import InterpretedIteration
 from gtmr_nmpc.solution import Solution, Timing
 
@@ -188,7 +188,7 @@ class Controller:
         most = max(0.0, t - self._last_t) / switch_time_s
         return self._last_progress + min(max(due - self._last_progress, -most), most)
 
-    def _reaches_no_axis(self, plan: Plan) -> bool:
+    def _reaches_no_axis(self, plan: IterationResult) -> bool:
         """Whether a plan stays on the vehicle's side of the tower's axis, by the slack it needs.
 
         One that does not is a step too long for the linearisation that it came from, and would be

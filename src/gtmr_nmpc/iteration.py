@@ -23,7 +23,7 @@ SLACK_TOLERANCE_M = 1e-9
 """Slack below this is rounding of the QP solver, not a violation [m]."""
 
 
-class Plan(NamedTuple):
+class IterationResult(NamedTuple):
     """What one iteration gives; the fields are those of `Solution`."""
 
     x_plan: Array
@@ -89,7 +89,7 @@ class Iteration(Protocol):
         """
         ...
 
-    def feedback(self, x: Array) -> Plan:
+    def feedback(self, x: Array) -> IterationResult:
         """Solve the QP for a measured state and take the full step.
 
         Parameters
@@ -99,7 +99,7 @@ class Iteration(Protocol):
 
         Returns
         -------
-        Plan
+        IterationResult
             Its arrays belong to the caller.
         """
         ...

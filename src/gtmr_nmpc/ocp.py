@@ -21,7 +21,7 @@ from gtmr_model.dynamics import (
     POSITION,
     RATE,
     VELOCITY,
-    rk4_step,
+    discrete_step,
     state_derivative,
     symbols,
 )
@@ -57,11 +57,7 @@ def discrete_dynamics(config: ControllerConfig) -> ca.Function:
         (x, u, zeta) -> x_next.
     """
     x, u, zeta, _ = symbols(config.vehicle)
-    x_next = rk4_step(
-        x,
-        config.sampling_time_s,
-        lambda x: state_derivative(x, u, zeta, ca.DM.zeros(3), config.vehicle),
-    )
+    x_next = discrete_step(x, u, zeta, ca.DM.zeros(3), config.vehicle, config.sampling_time_s)
     return ca.Function("F", [x, u, zeta], [x_next], ["x", "u", "zeta"], ["x_next"])
 
 

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gtmr_codegen.c_source import c_function
 from gtmr_codegen.library import CompileError, load_library, warn_interpreted
-from gtmr_model.dynamics import ROTORS, rk4_step, state_derivative, symbols
+from gtmr_model.dynamics import ROTORS, discrete_step, symbols
 from gtmr_model.uncertainty import N_ZETA
 from gtmr_model.vehicle import Vehicle
 
@@ -100,7 +100,7 @@ def _plant_step(vehicle: Vehicle, step_s: float) -> ca.Function:
     feasible = ca.fmin(ca.fmax(u, -limit), limit)
     feasible = ca.fmin(feasible, (vehicle.max_rotor_speed_hz - x[ROTORS]) / step_s)
     feasible = ca.fmax(feasible, (vehicle.min_rotor_speed_hz - x[ROTORS]) / step_s)
-    x_next = rk4_step(x, step_s, lambda x: state_derivative(x, feasible, zeta, w_g, vehicle))
+    x_next = discrete_step(x, feasible, zeta, w_g, vehicle, step_s)
     return ca.Function("plant_step", [x, u, zeta, w_g], [x_next])
 
 

@@ -22,7 +22,7 @@ from gtmr_model import N_ZETA
 from gtmr_nmpc import ocp
 from gtmr_nmpc.compiled import codegen
 from gtmr_nmpc.config import ControllerConfig
-from gtmr_nmpc.iteration import Plan
+from gtmr_nmpc.iteration import IterationResult
 from gtmr_nmpc.margins import paper as margins
 
 Array = NDArray[np.float64]
@@ -157,7 +157,7 @@ class CompiledIteration:
             self._controller, ctypes.c_double(t), ctypes.c_double(margin_scale)
         )
 
-    def feedback(self, x: Array) -> Plan:
+    def feedback(self, x: Array) -> IterationResult:
         """See `Iteration.feedback`."""
         self._x[:] = x
         status = self._library.gtmr_feedback(self._controller, self._x_address, self._plan_address)
@@ -165,7 +165,9 @@ class CompiledIteration:
         x, u, by_channel, alpha_p, alpha_g, slack = (
             np.ndarray(shape, float, plan, offset) for shape, offset in self._parts
         )
-        return Plan(x, u, by_channel, alpha_p, alpha_g, slack, self._eps_s, STATUSES[status])
+        return IterationResult(
+            x, u, by_channel, alpha_p, alpha_g, slack, self._eps_s, STATUSES[status]
+        )
 
 
 def _compiled_part(config: ControllerConfig) -> ControllerConfig:

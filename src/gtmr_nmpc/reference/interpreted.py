@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gtmr_nmpc.config import ControllerConfig, Mode
-from gtmr_nmpc.iteration import SLACK_TOLERANCE_M, Plan
+from gtmr_nmpc.iteration import SLACK_TOLERANCE_M, IterationResult
 from gtmr_nmpc.margins import paper as margins
 from gtmr_nmpc.reference.rti import Preparation, RealTimeIteration, Trajectory
 
@@ -62,7 +62,7 @@ class InterpretedIteration:
         mode: Mode = "robust" if margin_scale > 0.0 else "nominal"
         self._preparation = self._rti.prepare(t, self._iterate, mode, margin_scale)
 
-    def feedback(self, x: Array) -> Plan:
+    def feedback(self, x: Array) -> IterationResult:
         """See `Iteration.feedback`."""
         result = self._rti.feedback(self._preparation, x)
         if result is None:
@@ -73,7 +73,7 @@ class InterpretedIteration:
         tightening = self._preparation.margins
         # Stage 0 is measured, not planned: its violation is a fact and no variable of the QP.
         now = margins.tightened_residual(self._config.tower, x[None, :3], tightening.total[:1])
-        return Plan(
+        return IterationResult(
             x_plan=self._last.x,
             u_plan=self._last.u,
             alpha_p_by_channel=tightening.by_channel,

@@ -42,7 +42,7 @@ class Trajectory:
 
 
 @dataclass(frozen=True)
-class Margins:
+class Tightening:
     """Tightening of the clearance constraint along an iterate."""
 
     by_channel: Array
@@ -69,7 +69,7 @@ class Preparation:
     """All of the QP that does not depend on the measured state."""
 
     iterate: Trajectory
-    margins: Margins
+    margins: Tightening
     dx_du: Array
     """Condensed dx_i/dU, shape (N + 1, n_x, N N_p)."""
     dx_dx0: Array
@@ -214,23 +214,16 @@ class RealTimeIteration:
         # The cost as least squares, ||residual + J_u dU + J_x dx_0||^2, stage 0 being given.
         reference = ocp.horizon_reference(self.config, t)
         output = dh * self._sqrt_q[..., None]
-        stage = self._sqrt_q * (h - reference.stages) + np.einsum(
-            "ijk,ik->ij", output, defect[:-1]
-        )
-        terminal = self._sqrt_qf * (iterate.x[-1, POSITION] + defect[-1, :3] - reference.terminal)
-        residual = np.r_[stage[1:].ravel(), terminal]
-        j_u = np.vstack(
-            [
-                (output[1:] @ dx_du[1:-1]).reshape(-1, n * n_u),
-                self._sqrt_qf[:, None] * dx_du[-1, POSITION],
-            ]
-        )
-        j_x = np.vstack(
-            [
-                (output[1:] @ dx_dx0[1:-1]).reshape(-1, n_x),
-                self._sqrt_qf[:, None] * dx_dx0[-1, POSITION],
-            ]
-        )
+
+        def weighed(dx: Array) -> Array:
+            """Rows of the least squares that changes of the states make, one a column."""
+            stages = (output[1:] @ dx[1:-1]).reshape(-1, dx.shape[2])
+            return np.vstack([stages, self._sqrt_qf[:, None] * dx[-1, POSITION]])
+
+        stage = self._sqrt_q * (h - reference.stages)
+        terminal = self._sqrt_qf * (iterate.x[-1, POSITION] - reference.terminal)
+        residual = np.r_[stage[1:].ravel(), terminal] + weighed(defect[..., None])[:, 0]
+        j_u, j_x = weighed(dx_du), weighed(dx_dx0)
         q_u = self.config.weights.rotor_acceleration
         hessian = 2.0 * (j_u.T @ j_u)
         hessian[np.diag_indices_from(hessian)] += 2.0 * q_u
@@ -242,7 +235,7 @@ class RealTimeIteration:
         if robust:
             pi = sensitivity.propagate(a, rest[0])
             pi_y = margins.clearance_sensitivity(iterate.x[:, POSITION], pi)
-            tightening = Margins(
+            tightening = Tightening(
                 by_channel=margin_scale * margins.parametric_margin(pi_y, self.config.uncertainty),
                 eps_s=margin_scale * self.config.eps_s_m,
                 gust=margin_scale * self._gust,
@@ -255,7 +248,7 @@ class RealTimeIteration:
                 rows_dx0 += d_x_flat @ dx_dx0.reshape(-1, n_x)
                 offset += d_x_flat @ defect.ravel()
         else:
-            tightening = Margins(np.zeros((n + 1, N_ZETA)), 0.0, np.zeros(n + 1))
+            tightening = Tightening(np.zeros((n + 1, N_ZETA)), 0.0, np.zeros(n + 1))
         tightened = margins.tightened_residual(
             self.config.tower, iterate.x[:, POSITION], tightening.total
         )

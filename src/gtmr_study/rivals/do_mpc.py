@@ -23,7 +23,7 @@ from gtmr_model.dynamics import (
     RATE,
     ROTORS,
     VELOCITY,
-    rk4_step,
+    discrete_step,
     state_derivative,
 )
 from gtmr_nmpc import ControllerConfig
@@ -60,7 +60,8 @@ class DoMpcRival:
         def derivative(state: Any) -> Any:
             return state_derivative(state, u, no_zeta, no_gust, vehicle)
 
-        model.set_rhs("x", rk4_step(x, config.sampling_time_s, derivative))
+        x_next = discrete_step(x, u, no_zeta, no_gust, vehicle, config.sampling_time_s)
+        model.set_rhs("x", x_next)
         model.setup()
 
         def weighted(weights: tuple[float, ...], error: Any) -> Any:

@@ -6,11 +6,10 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The OCP written down as a nonlinear program, for general solvers.
+"""The OCP as a nonlinear program: an oracle, which states cost, shooting and constraints anew.
 
-It shares only the equations of motion with the controller: cost, shooting and constraints are
-stated anew, so that solvers of this program check the controller, and are what it is measured
-against.
+It shares only the equations of motion with the controller, so that general solvers of this
+program check the controller, and are what it is measured against.
 """
 
 from __future__ import annotations
@@ -205,15 +204,22 @@ class InspectionNlp:
         return np.hstack([at.position, at.velocity, at.acceleration, at.yaw[:, None]])
 
 
-def _rollout(config: ControllerConfig, x0: ca.MX, u: ca.MX) -> ca.MX:
-    """States over the horizon as functions of the first one and the inputs."""
-    vehicle = config.vehicle
-    xs, us, zs, _ = symbols(vehicle)
+def _discrete(config: ControllerConfig) -> tuple[ca.Function, ca.Function]:
+    """One shooting interval, (x, u, zeta) -> x_next, and its derivatives by x and zeta."""
+    xs, us, zs, _ = symbols(config.vehicle)
     no_gust = ca.DM.zeros(3)
     x_next = rk4_step(
-        xs, config.sampling_time_s, lambda x: state_derivative(x, us, zs, no_gust, vehicle)
+        xs,
+        config.sampling_time_s,
+        lambda x: state_derivative(x, us, zs, no_gust, config.vehicle),
     )
-    discrete = ca.Function("F", [xs, us, zs], [x_next])
+    jacobians = [ca.jacobian(x_next, s) for s in (xs, zs)]
+    return ca.Function("F", [xs, us, zs], [x_next]), ca.Function("dF", [xs, us, zs], jacobians)
+
+
+def _rollout(config: ControllerConfig, x0: ca.MX, u: ca.MX) -> ca.MX:
+    """States over the horizon as functions of the first one and the inputs."""
+    discrete, _ = _discrete(config)
     states = [x0]
     for i in range(config.horizon):
         states.append(discrete(states[-1], u[:, i], ca.DM.zeros(N_ZETA)))
@@ -225,11 +231,7 @@ def _shooting(
 ) -> tuple[ca.MX, ca.MX]:
     """Shooting gaps, and alpha_p + alpha_g of stages 1..N where the program carries them."""
     vehicle, step_s = config.vehicle, config.sampling_time_s
-    xs, us, zs, _ = symbols(vehicle)
-    no_gust = ca.DM.zeros(3)
-    x_next = rk4_step(xs, step_s, lambda x: state_derivative(x, us, zs, no_gust, vehicle))
-    discrete = ca.Function("F", [xs, us, zs], [x_next])
-    jacobians = ca.Function("dF", [xs, us, zs], [ca.jacobian(x_next, s) for s in (xs, zs)])
+    discrete, jacobians = _discrete(config)
     nominal = ca.DM.zeros(N_ZETA)
     min_mass_kg = (1.0 - config.uncertainty.mass) * vehicle.mass_kg
     gaps, alpha = [], []
