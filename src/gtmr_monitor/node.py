@@ -23,11 +23,13 @@ from rcl_interfaces.msg import ParameterEvent
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 
 from gtmr_model import ConfigError, Tower, YamlModel
+from gtmr_monitor.agreement import NAMES, TowerAgreement
 from gtmr_monitor.bag.format import BagError, without_tail
 from gtmr_monitor.bag.writer import OfferedQos
 from gtmr_monitor.recording import Recording
@@ -53,6 +55,8 @@ PARAMETERS_PERIOD_S = 0.1
 """Between two looks for nodes whose parameters are not yet in the bag, wall time [s]."""
 WARNING_PERIOD_S = 5.0
 """Least time between two warnings about the same [s]."""
+FLYING = sorted({n for topic in topics.TOPICS for n in topic.publishers} - {"monitor"})
+"""Nodes of which every vehicle has its own."""
 NAMESPACE = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 """What may stand before the topics of a vehicle."""
 
@@ -100,6 +104,14 @@ class Vehicle:
         self.residual = self.topic(topics.CLEARANCE_RESIDUAL).publisher(node)
         self.order = StampOrder()
         """Of the odometry."""
+        self.towers = TowerAgreement()
+        """What the nodes that fly it take for the tower."""
+        self.warned: list[str] = []
+        """What of that was told in the log."""
+        parts = (node.get_namespace().strip("/"), namespace)
+        above = "".join(f"/{part}" for part in parts if part)
+        self.nodes = {f"{above}/{name}": name for name in FLYING}
+        """Short names of these nodes by full name."""
 
     def topic(self, topic: topics.Topic) -> topics.Topic:
         """Return a topic of the suite as this vehicle has it."""
@@ -145,7 +157,6 @@ class MonitorNode(SuiteNode):
         self._vehicles = [Vehicle(self, name) for name in self._settings.value.namespaces]
         self._recording = self._record_into(self._settings.value.bag)
         self._status = topics.DIAGNOSTICS.publisher(self)
-        self._fetches: list[ParameterFetch] = []
 
     def connect(self) -> None:
         """Listen."""
@@ -154,13 +165,18 @@ class MonitorNode(SuiteNode):
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose, clock=wall)
         for vehicle in self._vehicles:
             listen(self, vehicle.topic(topics.ODOM), partial(self._on_odometry, vehicle))
+        listen(self, PARAMETER_EVENTS, self._on_parameter_event)
+        self._fetches = [
+            ParameterFetch(self, name, self._take_parameters)
+            for vehicle in self._vehicles
+            for name in vehicle.nodes
+        ]
+        self.create_timer(PARAMETERS_PERIOD_S, self._poll_parameters, clock=wall)
         if self._recording is None:
             return
-        self._fetches.clear()
         self._record_everything()
         self.create_timer(FLUSH_PERIOD_S, self._flush, clock=wall)
-        self.create_timer(PARAMETERS_PERIOD_S, self._poll_parameters, clock=wall)
-        self._write_parameters(own_parameters(self))
+        self._take_parameters(own_parameters(self))
         self.get_logger().info(f"recording into {self._recording.folder}")
 
     def release(self) -> None:
@@ -198,7 +214,7 @@ class MonitorNode(SuiteNode):
         return recording
 
     def _record_everything(self) -> None:
-        written_otherwise = {
+        written_otherwise = {PARAMETER_EVENTS.name} | {
             name
             for vehicle in self._vehicles
             for name in (
@@ -210,17 +226,21 @@ class MonitorNode(SuiteNode):
         for name, topic in self._topics().items():
             if name not in written_otherwise:
                 listen(self, topic, partial(self._on_message, name))
-        publishers = {name for topic in topics.TOPICS for name in topic.publishers}
-        for vehicle in self._vehicles:
-            parts = (self.get_namespace().strip("/"), vehicle.namespace)
-            namespace = "".join(f"/{part}" for part in parts if part)
-            for name in sorted(publishers - {self.get_name()}):
-                self._fetches.append(
-                    ParameterFetch(self, f"{namespace}/{name}", self._write_parameters)
-                )
 
     def _on_message(self, topic: str, data: bytes, info: Info) -> None:
         self._write(topic, data, received_ns(info), info["source_timestamp"])
+
+    def _on_parameter_event(self, data: bytes, info: Info) -> None:
+        self._on_message(PARAMETER_EVENTS.name, data, info)
+        self._compare(deserialize_message(data, ParameterEvent))
+
+    def _compare(self, event: ParameterEvent) -> None:
+        """Take in what a node of a vehicle takes for the tower."""
+        told = [p for p in (*event.new_parameters, *event.changed_parameters) if p.name in NAMES]
+        values = {p.name: parameter_value_to_python(p.value) for p in told}
+        for vehicle in self._vehicles:
+            if event.node in vehicle.nodes:
+                vehicle.towers.take(vehicle.nodes[event.node], values)
 
     def _on_odometry(self, vehicle: Vehicle, data: bytes, info: Info) -> None:
         came_ns = received_ns(info)
@@ -263,7 +283,8 @@ class MonitorNode(SuiteNode):
         for fetch in self._fetches:
             fetch.poll()
 
-    def _write_parameters(self, event: ParameterEvent) -> None:
+    def _take_parameters(self, event: ParameterEvent) -> None:
+        self._compare(event)
         event.stamp = self.get_clock().now().to_msg()
         data = without_tail(serialize_message(event), PARAMETER_EVENTS.type_name)
         self._write(PARAMETER_EVENTS.name, data, time.time_ns())
@@ -274,7 +295,7 @@ class MonitorNode(SuiteNode):
             self._diagnose_vehicle(vehicle)
 
     def _diagnose_vehicle(self, vehicle: Vehicle) -> None:
-        watch, recording = vehicle.watch, self._recording
+        watch, recording, tower = vehicle.watch, self._recording, self._settings.value.tower
         unwritten = recording.unwritten if recording is not None else 0
         level, message = Level.OK, "clear of the tower"
         if unwritten:
@@ -287,8 +308,19 @@ class MonitorNode(SuiteNode):
             level, message = Level.WARN, "the clearance was violated"
         if vehicle.order.late:
             message += "; some odometry came late"
+        vehicle.towers.take(
+            self.get_name(), dict(zip(NAMES, (tower.radius_m, tower.min_clearance_m), strict=True))
+        )
+        disagreements = vehicle.towers.disagreements
+        if disagreements:
+            level = Level.WARN if level is Level.OK else level
+            message = "; ".join([message, *disagreements])
+        if disagreements != vehicle.warned:
+            vehicle.warned = disagreements
+            for disagreement in disagreements:
+                self.get_logger().warning(f"the nodes differ: {disagreement}")
         values: dict[str, diagnostics.Value] = {
-            "min_clearance_m": self._settings.value.tower.min_clearance_m,
+            "min_clearance_m": tower.min_clearance_m,
             "violations": watch.violations,
             "samples": watch.samples,
             "unusable_odometry": vehicle.unusable,

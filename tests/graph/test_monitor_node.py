@@ -61,6 +61,7 @@ class Graph:
         self.node.declare_parameter("seed", 7)
         self.node.declare_parameter("zeta", ZETA)
         self.node.declare_parameter("gust.kind", "ou")
+        self.node.declare_parameter("tower.radius_m", TOWER.radius_m)
         self.odometry = topics.ODOM.publisher(self.node)
         self.clock = topics.CLOCK.publisher(self.node)
         self.residuals, self.statuses = [], []
@@ -307,6 +308,21 @@ def test_a_late_odometry_does_not_make_it_forget_a_violation(graph, earlier_ns):
     assert (last["violations"], last["late_odometry"]) == (1, 1)
     assert last["worst_residual_m"] == pytest.approx(0.05)
     assert last["residual_m"] == pytest.approx(-0.2)
+
+
+def test_another_tower_than_that_of_the_vehicle_is_told(graph):
+    def told(words):
+        return any(s.level == b"\x01" and words in s.message for s in graph.statuses)
+
+    with monitor("tower.radius_m:=1.2") as process:
+        graph.await_monitor()
+        graph.publish(0, position=(1.6, 0.0, 2.0))
+        graph.wait_until(lambda: told("tower.radius_m is 1.2 m in monitor, 1 m in sim"))
+        graph.node.set_parameters([Parameter("tower.radius_m", value=1.1)])
+        graph.wait_until(lambda: told("tower.radius_m is 1.2 m in monitor, 1.1 m in sim"))
+        graph.node.set_parameters([Parameter("tower.radius_m", value=1.2)])
+        graph.wait_until(lambda: graph.statuses[-1].message == "clear of the tower")
+        assert "the nodes differ: tower.radius_m is 1.2 m in monitor, 1 m in sim" in stop(process)
 
 
 def test_an_estimator_that_publishes_best_effort_is_heard_and_recorded(graph, tmp_path):
