@@ -308,6 +308,35 @@ def test_what_others_send_is_read_whatever_its_shape():
         assert_same(vars(reader.unpack(wire(plan))), vars(rotor_command.decode(plan, 3)))
 
 
+def exchange(data, one, other):
+    """Exchange two words of the same length in the bytes of a message."""
+    assert len(one) == len(other)
+    at_one, at_other = data.index(one), data.index(other)
+    swapped = bytearray(data)
+    swapped[at_one : at_one + len(one)] = other
+    swapped[at_other : at_other + len(other)] = one
+    return bytes(swapped)
+
+
+def test_another_layout_of_the_same_length_is_not_taken_for_ours():
+    ours = rotor_states.pack(5, [1.0, 2.0, 3.0])
+    reversed_names = exchange(ours, b"rotor_0", b"rotor_2")
+    assert rotor_states.unpack(reversed_names, 3)[1] == pytest.approx([3.0, 2.0, 1.0])
+
+    xi, u = np.ones((4, 3)), np.ones((3, 3))
+    slow, fast = rotor_command.pack(5, 200, xi, u), rotor_command.pack(5, 100, xi, u)
+    assert len(slow) == len(fast)
+    reader = rotor_command.Reader(3)
+    assert [reader.unpack(data).step_ns for data in (fast, slow, slow, fast)] == [
+        100,
+        200,
+        200,
+        100,
+    ]
+    with pytest.raises(MessageError, match=r"rotor_2.*rotor_1.*rotor_0"):
+        reader.unpack(exchange(fast, b"rotor_0", b"rotor_2"))
+
+
 def test_a_packed_command_is_refused_for_what_a_message_is_refused_for():
     reader = rotor_command.Reader(6)
     reader.unpack(rotor_command.pack(0, 100, np.ones((4, 6)), np.ones((3, 6))))
