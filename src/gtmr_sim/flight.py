@@ -18,10 +18,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gtmr_sim.scenario import Scenario
+from gtmr_model import ConfigError, YamlModel
+from gtmr_sim.scenario import Scenario, whole_steps
 from gtmr_sim.simulation import Simulation
 
 Array = NDArray[np.float64]
+
+SAMPLING_TIME_S = 0.025
+"""T_s of a controller that does not say [s] (Table I)."""
 
 
 class Timing(Protocol):
@@ -117,7 +121,7 @@ def fly(
     scenario: Scenario,
     controller: Controller,
     duration_s: float,
-    sampling_time_s: float = 0.025,
+    sampling_time_s: float | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> FlightLog:
     """Fly one closed loop.
@@ -129,19 +133,26 @@ def fly(
     controller : Controller
         Starts cold: nothing of an earlier flight is used if it was reset.
     duration_s : float
-        How long; rounded to whole sampling times [s].
-    sampling_time_s : float
-        T_s, time between two controller steps [s].
+        How long; a whole number of sampling times [s].
+    sampling_time_s : float, optional
+        T_s, time between two controller steps [s]; if left out that of the controller's
+        ``config``, or 0.025 s where it has none.
     on_step : callable, optional
         Called with the number of steps done, for a progress bar.
 
-    Returns
-    -------
-    FlightLog
-        One row per controller step.
+    Raises
+    ------
+    ConfigError
+        If a time is not what it must be, or the controller has a ``config`` made for another
+        vehicle, tower, helix or sampling time.
     """
+    config = getattr(controller, "config", None)
+    own_period_s = getattr(config, "sampling_time_s", None)
+    if sampling_time_s is None:
+        sampling_time_s = SAMPLING_TIME_S if own_period_s is None else own_period_s
+    _require_made_for(config, scenario, sampling_time_s)
+    steps = whole_steps("duration_s", duration_s, "sampling_time_s", sampling_time_s)
     simulation = Simulation(scenario, sampling_time_s)
-    steps = round(duration_s / sampling_time_s)
     times, states, gusts, solutions = [], [], [], []
     for k in range(steps):
         t = simulation.time_s
@@ -168,3 +179,20 @@ def fly(
         solve_ms=1e3 * np.array([s.timing.total_s for s in solutions]),
         failed=np.array([s.status == "failed" for s in solutions]),
     )
+
+
+def _require_made_for(config: object, scenario: Scenario, sampling_time_s: float) -> None:
+    """Refuse a controller that believes in another world; what it does not say is taken as is."""
+    world = {name: getattr(scenario, name) for name in ("vehicle", "tower", "helix")}
+    for name, ours in {**world, "sampling_time_s": sampling_time_s}.items():
+        theirs = getattr(config, name, ours)
+        if isinstance(ours, YamlModel) and isinstance(theirs, type(ours)):
+            for field in type(ours).model_fields:
+                _require_equal(f"{name}.{field}", getattr(ours, field), getattr(theirs, field))
+        else:
+            _require_equal(name, ours, theirs)
+
+
+def _require_equal(name: str, ours: object, theirs: object) -> None:
+    if theirs != ours:
+        raise ConfigError(f"{name} = {ours!r}: the controller is made for {theirs!r}")

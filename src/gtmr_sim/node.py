@@ -14,12 +14,13 @@ import sys
 import time
 from typing import ClassVar
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool, Trigger
+from typing_extensions import Self
 
 from gtmr_model.dynamics import ROTORS
 from gtmr_msgs_py import topics
@@ -32,7 +33,7 @@ from gtmr_msgs_py.node.process import PROMPT, run
 from gtmr_msgs_py.node.suite_node import SuiteNode
 from gtmr_msgs_py.wire import stamps
 from gtmr_msgs_py.wire.message_error import MessageError
-from gtmr_sim.scenario import Scenario
+from gtmr_sim.scenario import Scenario, whole_steps
 from gtmr_sim.session import Session
 from gtmr_sim.simulation import Simulation
 
@@ -77,19 +78,14 @@ class SimParameters(Scenario):
             raise ValueError("as fast as possible needs lockstep, or commands come too late")
         return value
 
-    @field_validator("sampling_time_s")
-    @classmethod
-    def _whole_steps(cls, value: float, info: ValidationInfo) -> float:
-        _require_whole(value, info.data.get("step_s"), "step_s")
-        return value
-
-    @field_validator("odometry_rate_hz")
-    @classmethod
-    def _whole_ticks(cls, value: float, info: ValidationInfo) -> float:
-        if not info.data.get("lockstep", False):
-            _require_whole(1.0 / value, info.data.get("step_s"), "step_s")
-            _require_whole(info.data.get("sampling_time_s"), 1.0 / value, "the odometry's period")
-        return value
+    @model_validator(mode="after")
+    def _whole_ticks(self) -> Self:
+        period_s, tick_s = self.sampling_time_s, self.tick_s
+        whole_steps("sampling_time_s", period_s, "step_s", self.step_s)
+        if not self.lockstep:
+            whole_steps("the period of odometry_rate_hz", tick_s, "step_s", self.step_s)
+            whole_steps("sampling_time_s", period_s, "the period of odometry_rate_hz", tick_s)
+        return self
 
     def settled(self) -> SimParameters:
         """Return the same parameters with ``zeta`` drawn if it shall be."""
@@ -101,15 +97,6 @@ class SimParameters(Scenario):
     def tick_s(self) -> float:
         """Simulated time between two odometry messages [s]."""
         return self.sampling_time_s if self.lockstep else 1.0 / self.odometry_rate_hz
-
-
-def _require_whole(whole_s: float | None, part_s: float | None, part: str) -> None:
-    """Raise unless one time is a multiple of another; a time that was refused is None."""
-    if whole_s is None or part_s is None:
-        return
-    ratio = whole_s / part_s
-    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
-        raise ValueError(f"{whole_s:g} s must be a whole number of times {part}, {part_s:g} s")
 
 
 class SimNode(SuiteNode):

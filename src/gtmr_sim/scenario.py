@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 import numpy as np
@@ -17,11 +18,27 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from typing_extensions import Self
 
-from gtmr_model import Helix, NamedVehicle, Tower, UncertaintySet, Vehicle, YamlModel
+from gtmr_model import ConfigError, Helix, NamedVehicle, Tower, UncertaintySet, Vehicle, YamlModel
 
 GustKind = Literal["ou", "dryden", "sinusoid", "worst-case", "none"]
 GUST_KINDS: tuple[GustKind, ...] = ("ou", "dryden", "sinusoid", "worst-case", "none")
 """Clipped Ornstein-Uhlenbeck, clipped Dryden, sinusoid, constant towards the tower, none."""
+
+
+def whole_steps(name: str, time_s: float, part: str, part_s: float) -> int:
+    """How many times a time [s] holds a part of it, which must be a whole number.
+
+    Raises
+    ------
+    ConfigError
+        If it is not; names both.
+    """
+    ratio = time_s / part_s
+    if not (ratio < math.inf and round(ratio) >= 1 and abs(ratio - round(ratio)) < 1e-6):
+        raise ConfigError(
+            f"{name} = {time_s:g} s: allowed is a whole number of times {part}, {part_s:g} s"
+        )
+    return round(ratio)
 
 
 class GustConfig(YamlModel):
@@ -59,11 +76,12 @@ class Scenario(YamlModel):
     step_s: float = Field(1e-3, gt=0.0, le=0.01)
     """The plant's integration step [s]."""
     gust_hold_s: float = Field(0.025, gt=0.0)
-    """How long a gust sample is held [s]."""
+    """How long a gust sample is held [s]; a whole number of times ``step_s``."""
 
     @model_validator(mode="after")
-    def _inside(self) -> Self:
+    def _consistent(self) -> Self:
         self.uncertainty.require_inside(self.zeta)
+        whole_steps("gust_hold_s", self.gust_hold_s, "step_s", self.step_s)
         return self
 
     def sampled(self) -> Scenario:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gtmr_sim.gust import make_gust
 from gtmr_sim.plant import Plant
-from gtmr_sim.scenario import Scenario
+from gtmr_sim.scenario import Scenario, whole_steps
 
 
 class Simulation:
@@ -29,12 +29,17 @@ class Simulation:
         The world and the true parameters.
     plan_step_s : float
         Time between two inputs of a plan [s].
+
+    Raises
+    ------
+    ConfigError
+        If that is no whole number of plant steps.
     """
 
     def __init__(self, scenario: Scenario, plan_step_s: float) -> None:
         self.scenario = scenario
-        self._plan_step = self._steps(plan_step_s)
-        self._hold = self._steps(scenario.gust_hold_s)
+        self._plan_step = self._steps("sampling_time_s", plan_step_s)
+        self._hold = self._steps("gust_hold_s", scenario.gust_hold_s)
         self.reset()
 
     def reset(self) -> None:
@@ -95,7 +100,7 @@ class Simulation:
             Rotor accelerations [Hz/s], one row every plan step.
         """
         self._plan = np.asarray(u_plan, dtype=float)
-        self._plan_start = self._steps(stamp_s)
+        self._plan_start = round(stamp_s / self.scenario.step_s)
 
     def advance(self, duration_s: float) -> None:
         """Fly on, playing the plan.
@@ -105,7 +110,7 @@ class Simulation:
         duration_s : float
             How long; a multiple of the plant's step [s].
         """
-        end = self._step + self._steps(duration_s)
+        end = self._step + self._steps("duration_s", duration_s)
         while self._step < end:
             into_plan = (self._step - self._plan_start) % self._plan_step
             into_hold = self._step % self._hold
@@ -124,5 +129,5 @@ class Simulation:
     def _draw_gust(self) -> None:
         self._w_g = self._gust(self.plant.x[:3])
 
-    def _steps(self, duration_s: float) -> int:
-        return round(duration_s / self.scenario.step_s)
+    def _steps(self, name: str, time_s: float) -> int:
+        return whole_steps(name, time_s, "step_s", self.scenario.step_s)

@@ -146,7 +146,7 @@ def test_a_settled_value_is_shown_and_fixed(make_node):
     ("overrides", "reason"),
     [
         ({"real_time_factor": 0.0}, "real_time_factor .* needs lockstep"),
-        ({"odometry_rate_hz": 100.0}, "odometry_rate_hz .* whole number"),
+        ({"odometry_rate_hz": 100.0}, "sampling_time_s .* whole number .* odometry_rate_hz"),
         ({"sampling_time_s": 0.0255}, "sampling_time_s .* whole number"),
         ({"zeta": [0.5] + [0.0] * 8}, r"zeta\[mass\] = 0.5"),
         ({"zeta": [0.0] * 8}, "zeta"),

@@ -15,11 +15,13 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
+from typing_extensions import Self
 
 from gtmr_model import UncertaintySet, YamlModel
 from gtmr_nmpc import MODES, ControllerConfig, Mode
 from gtmr_sim import GustConfig, Scenario
+from gtmr_sim.scenario import whole_steps
 from gtmr_study.campaign.plans import Plan
 
 RANDOM_TRIALS = 500
@@ -62,6 +64,13 @@ class Study(YamlModel):
             raise ValueError("a mode is named twice")
         # One order for all, so that the order on the command line does not matter.
         return tuple(mode for mode in MODES if mode in modes)
+
+    @model_validator(mode="after")
+    def _whole_steps(self) -> Self:
+        period_s = self.controller.sampling_time_s
+        whole_steps("sampling_time_s", period_s, "the plant's step_s", Scenario().step_s)
+        whole_steps("duration_s", self.duration_s, "sampling_time_s", period_s)
+        return self
 
     @property
     def true_uncertainty(self) -> UncertaintySet:
