@@ -30,8 +30,8 @@ RATE = slice(9, 12)
 """omega in x: body FLU [rad/s]."""
 ROTORS = slice(12, None)
 """xi in x: rotor speeds [Hz]."""
-YAW = 5
-"""Index of yaw in x."""
+PITCH, YAW = 4, 5
+"""Their index in x."""
 
 
 def rotation(eta: Any) -> Any:

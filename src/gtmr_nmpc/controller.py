@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gtmr_codegen.library import CompileError, warn_interpreted
-from gtmr_model.dynamics import YAW
+from gtmr_model.dynamics import PITCH, YAW
 from gtmr_nmpc.compiled.iteration import CompiledIteration
 from gtmr_nmpc.config import MODES, ControllerConfig, Mode
 from gtmr_nmpc.iteration import Iteration, IterationResult
@@ -143,7 +143,7 @@ class Controller:
         plan = self._iteration.feedback(x)
         feedback_s = time.perf_counter() - start
         self._last_t, self._last_progress = t, progress
-        self._is_a_start = plan.status != "failed" and self._reaches_no_axis(plan)
+        self._is_a_start = plan.status != "failed" and self._is_sound(plan)
         return Solution(
             u=plan.u_plan[0],
             margin_scale=_margin_scale(progress),
@@ -188,14 +188,15 @@ class Controller:
         most = max(0.0, t - self._last_t) / switch_time_s
         return self._last_progress + min(max(due - self._last_progress, -most), most)
 
-    def _reaches_no_axis(self, plan: IterationResult) -> bool:
-        """Whether a plan stays on the vehicle's side of the tower's axis, by the slack it needs.
+    def _is_sound(self, plan: IterationResult) -> bool:
+        """Whether a plan stays where the model holds, and with it can be the next one's iterate.
 
-        One that does not is a step too long for the linearisation that it came from, and would be
-        the next one's iterate.
+        One step too long for the linearisation that it came from goes through the tower's axis, by
+        the slack it needs, or through a pitch of 90 degrees, where Euler angles have no rates.
         """
         tower = self.config.tower
-        return bool(plan.slack.max() <= tower.radius_m + tower.min_clearance_m)
+        reaches_axis = plan.slack.max() > tower.radius_m + tower.min_clearance_m
+        return bool(not reaches_axis and np.abs(plan.x_plan[:, PITCH]).max() < math.pi / 2)
 
     def _warm(self, t: float) -> bool:
         """Start from the last plan, if it reaches time t and is fit for it."""

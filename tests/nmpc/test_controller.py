@@ -222,11 +222,35 @@ def test_states_that_are_none_are_refused():
         Controller().step(0.0, START * np.nan)
 
 
-THROUGH_THE_TOWER = np.full(21, SCENARIO.tower.radius_m + 0.3)
+def plan_to_slack(slack_m):
+    return {"slack": np.full(21, slack_m)}
 
 
-@pytest.mark.parametrize("unfit", [{"status": "failed"}, {"slack": THROUGH_THE_TOWER}])
+def plan_to_pitch(pitch_rad):
+    x_plan = np.tile(START, (21, 1))
+    x_plan[-1, 4] = pitch_rad
+    return {"x_plan": x_plan}
+
+
+AXIS_M = SCENARIO.tower.radius_m + SCENARIO.tower.min_clearance_m
+
+
+@pytest.mark.parametrize("fit", [plan_to_slack(0.99 * AXIS_M), plan_to_pitch(1.5)])
+def test_a_hard_but_sound_plan_is_the_next_start(fit):
+    assert starts(fit) == "cwwww"
+
+
+@pytest.mark.parametrize(
+    "unfit",
+    [{"status": "failed"}, plan_to_slack(1.01 * AXIS_M), plan_to_pitch(1.6), plan_to_pitch(-1.6)],
+)
 def test_after_an_unfit_plan_the_next_step_starts_from_the_measured_state(unfit):
+    assert starts(unfit) == "cwwcw"
+
+
+def starts(third):
+    """Cold and warm starts of five steps of which the third gives a plan with other entries."""
+
     class FailsOnce(InterpretedIteration):
         starts = ""
 
@@ -240,21 +264,38 @@ def test_after_an_unfit_plan_the_next_step_starts_from_the_measured_state(unfit)
 
         def feedback(self, x):
             plan = super().feedback(x)
-            return plan._replace(**unfit) if len(self.starts) == 3 else plan
+            return plan._replace(**third) if len(self.starts) == 3 else plan
 
     iteration = FailsOnce(ControllerConfig())
     controller = Controller(iteration=iteration)
     for k in range(5):
         controller.step(0.025 * k, START)
-    assert iteration.starts == "cwwcw"
+    return iteration.starts
+
+
+FAST_APPROACH = START.copy()
+FAST_APPROACH[:9] += [-0.0012, 0.0263, 0.1943, -0.0288, 0.1372, 0.0, -0.5024, -0.0497, 0.48]
+FAST_APPROACH[12:] = [37.1641, 60.7094, 45.6946, 85.1406, 81.4439, 84.5922]
+
+
+def test_a_plan_that_turns_over_does_not_turn_the_next_command_around():
+    simulation, controller = Simulation(Scenario(), 0.025), Controller()
+    simulation.plant.x = FAST_APPROACH
+    turned_over = False
+    while not turned_over:
+        assert simulation.time_s < 0.2
+        solution = controller.step(simulation.time_s, simulation.x)
+        turned_over = np.abs(solution.x_plan[:, 4]).max() > np.pi / 2
+        simulation.command(simulation.time_s, solution.u_plan)
+        simulation.advance(0.025)
+    command = controller.step(simulation.time_s, simulation.x).u
+    # What IPOPT plans too; from the plan that turned over the signs would be the opposite.
+    np.testing.assert_allclose(command, [200.0, 200.0, 200.0, -200.0, -200.0, 0.0], atol=0.5)
 
 
 def test_a_fast_approach_with_unequal_rotors_is_stopped_before_the_tower():
-    x = START.copy()
-    x[:9] += [-0.0012, 0.0263, 0.1943, -0.0288, 0.1372, 0.0, -0.5024, -0.0497, 0.48]
-    x[12:] = [37.1641, 60.7094, 45.6946, 85.1406, 81.4439, 84.5922]
     simulation, controller = Simulation(SCENARIO, 0.025), Controller()
-    simulation.plant.x = x
+    simulation.plant.x = FAST_APPROACH
     for _ in range(80):
         solution = controller.step(simulation.time_s, simulation.x)
         assert solution.status != "failed"

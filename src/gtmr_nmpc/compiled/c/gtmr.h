@@ -19,7 +19,7 @@
 
 /* What may change without compiling again; the vehicle, T_s and N may not. */
 typedef struct {
-    /* The tower and the helix round it. */
+    /* The tower and the helix around it. */
     double tower_radius_m;
     double min_clearance_m;
     double helix_radius_m;
@@ -65,8 +65,11 @@ void gtmr_reconfigure(gtmr_controller *controller, const gtmr_parameters *parame
 /* Make the iterate from a state held over the whole horizon. */
 void gtmr_cold(gtmr_controller *controller, const double *x);
 
-/* Make the iterate from the last plan, moved on by whole sampling times, the rotors then holding
- * their speeds. */
+/*
+ * Make the iterate from the last plan, moved on by whole sampling times, the rotors then holding
+ * their speeds. Not from one that failed, whose pitch reaches 90 degrees or whose slack exceeds
+ * tower radius and least clearance: it has left the model's range; make a cold one.
+ */
 void gtmr_warm(gtmr_controller *controller, int steps);
 
 /*
