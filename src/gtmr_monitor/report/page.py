@@ -22,9 +22,9 @@ from gtmr_model import CHANNELS
 from gtmr_monitor.bag.format import BagError
 from gtmr_monitor.flight import Flight
 from gtmr_monitor.report.browser import CHARTS
+from gtmr_monitor.report.html import page, signed, table
 from gtmr_monitor.report.look import Line, lines
 from gtmr_monitor.report.paper import write_figures
-from gtmr_monitor.report.style import STYLE
 
 CAPTIONS = {
     "trajectory": (
@@ -115,30 +115,15 @@ def _page(flown: Flown) -> str:
         for flight, line in flown
         if flight.replayed
     )
-    # The icon in the page keeps the browser from asking for one.
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>Tower inspection: {escape(modes)}</title>
-<link rel="icon" href="data:,">
-<style>{STYLE}</style>
-<script>{get_plotlyjs()}</script>
-</head>
-<body>
-<h1>Tower inspection: {escape(modes)}</h1>
-{warnings}
+    body = f"""{warnings}
 <div class="tables">
 <section><h2>Summary</h2>
 {_table(flown, _summary_rows(flown))}</section>
 <section><h2>Flight conditions</h2>
 {_table(flown, _CONDITIONS)}</section>
 </div>
-{sections}
-</body>
-</html>
-"""
+{sections}"""
+    return page(f"Tower inspection: {modes}", body, get_plotlyjs())
 
 
 def _summary_rows(flown: Flown) -> Sequence[Row]:
@@ -155,21 +140,8 @@ def _section(name: str, flown: Flown) -> str:
 
 
 def _table(flown: Flown, rows: Sequence[Row]) -> str:
-    heads = "".join(
-        f'<th scope="col"><span class="key" style="background:{line.colour}"></span>'
-        f"{escape(line.label)}</th>"
-        for _, line in flown
-    )
-    body = "\n".join(
-        f'<tr><th scope="row">{name}</th>'
-        + "".join(f"<td>{value(flight)}</td>" for flight, _ in flown)
-        + "</tr>"
-        for name, value in rows
-    )
-    return (
-        f'<div class="scroll"><table>\n<thead><tr><td></td>{heads}</tr></thead>\n'
-        f"<tbody>\n{body}\n</tbody>\n</table></div>"
-    )
+    heads = [(line.label, line.colour) for _, line in flown]
+    return table(heads, [(name, [value(flight) for flight, _ in flown]) for name, value in rows])
 
 
 def _violated(flight: Flight) -> str:
@@ -188,11 +160,7 @@ def _solve(key: Literal["median", "p99", "max"]) -> Value:
 
 
 def _quartile(key: Literal["min", "q1", "median", "q3", "max"]) -> Value:
-    return lambda flight: _signed(flight.residual_statistics["residual_m"][key])
-
-
-def _signed(value: float) -> str:
-    return f"{value:.3f}".replace("-", "−")
+    return lambda flight: signed(flight.residual_statistics["residual_m"][key])
 
 
 def _misses(flight: Flight) -> str:
@@ -211,7 +179,7 @@ def _softened(flight: Flight) -> str:
 def _foreseen(flight: Flight) -> str:
     if flight.predictions is None or not flight.predictions.t.size:
         return "not recorded"
-    return _signed(float(flight.predictions.residual.max()))
+    return signed(float(flight.predictions.residual.max()))
 
 
 def _largest_margin(flight: Flight) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 
 from gtmr_monitor.report import look
 from gtmr_monitor.report.drawing import inline_svg, save
-from gtmr_monitor.report.style import STYLE
+from gtmr_monitor.report.html import page, signed, table
 from gtmr_study.campaign.figures import Campaign, figures_of, why_no_channels
 
 CAPTIONS = {
@@ -33,13 +33,6 @@ CAPTIONS = {
     "as there were workers.",
 }
 """Explanation of every figure."""
-
-_STUDY_STYLE = """
-figure svg { max-width: 100%; height: auto; }
-tbody th { white-space: nowrap; }
-.wide thead th, .wide tbody th { white-space: normal; }
-.wide th, .wide td { padding-right: 0.8rem; font-size: 0.9em; }
-"""
 
 Value = Callable[[dict[str, Any]], str]
 
@@ -81,38 +74,6 @@ def _write_figures(campaigns: Sequence[Campaign], out_html: Path) -> list[Path]:
     return paths
 
 
-def page(title: str, body: str) -> str:
-    """Make a page that loads nothing.
-
-    Parameters
-    ----------
-    title : str
-        Plain text.
-    body : str
-        HTML.
-
-    Returns
-    -------
-    str
-    """
-    # The icon in the page keeps the browser from asking for one.
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{escape(title)}</title>
-<link rel="icon" href="data:,">
-<style>{STYLE}{_STUDY_STYLE}</style>
-</head>
-<body>
-<h1>{escape(title)}</h1>
-{body}
-</body>
-</html>
-"""
-
-
 def campaign_section(campaign: Campaign) -> str:
     """Describe a campaign in HTML: conditions, figures in numbers, figures drawn.
 
@@ -142,51 +103,17 @@ def campaign_section(campaign: Campaign) -> str:
         f'<figure id="{name}">{inline_svg(draw)}</figure>\n<p>{CAPTIONS[name]}</p>'
         for name, draw in figures_of(campaign).items()
     )
+    heads = [(mode, look.MODE_COLOURS[mode]) for mode in flown]
     return f"""<h2>{escape(campaign.name)}</h2>
 {warnings}
 <div class="tables">
 <section><h2>Summary</h2>
-{table(list(flown), [(name, [cell(s) for s in flown.values()]) for name, cell in _ROWS])}</section>
+{table(heads, [(name, [cell(s) for s in flown.values()]) for name, cell in _ROWS])}</section>
 <section><h2>Conditions</h2>
 {table([], _conditions(campaign))}</section>
 </div>
 {figures}
 <p>{why_no_channels(campaign)}</p>"""
-
-
-def table(heads: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]]) -> str:
-    """Make an HTML table with a title for every row.
-
-    Parameters
-    ----------
-    heads : sequence of str
-        Titles of the columns, plain text; modes get their colour.
-    rows : sequence of (str, sequence of str)
-        Title and cells, HTML.
-
-    Returns
-    -------
-    str
-    """
-    head = ""
-    if heads:
-        cells = "".join(f'<th scope="col">{_key(text)}{escape(text)}</th>' for text in heads)
-        head = f"<thead><tr><td></td>{cells}</tr></thead>"
-    body = "\n".join(
-        f'<tr><th scope="row">{title}</th>' + "".join(f"<td>{c}</td>" for c in cells) + "</tr>"
-        for title, cells in rows
-    )
-    return f'<div class="scroll"><table>{head}<tbody>\n{body}\n</tbody></table></div>'
-
-
-def _key(mode: str) -> str:
-    colour = look.MODE_COLOURS.get(mode)
-    return f'<span class="key" style="background:{colour}"></span>' if colour else ""
-
-
-def signed(value: float) -> str:
-    """Write a length to the millimetre, with a true minus sign."""
-    return f"{value:.3f}".replace("-", "−")
 
 
 def _residual(key: str) -> Value:

@@ -18,9 +18,10 @@ from typing import Any
 from gtmr_model import CHANNELS
 from gtmr_monitor.report import look
 from gtmr_monitor.report.drawing import inline_svg
+from gtmr_monitor.report.html import page, signed, table
 from gtmr_nmpc import MODES
 from gtmr_study.campaign.figures import Campaign
-from gtmr_study.campaign.report import campaign_section, page, signed, table
+from gtmr_study.campaign.report import campaign_section
 from gtmr_study.paper.claims import PAPER
 from gtmr_study.paper.claims_table import Claim, markdown_table
 
@@ -205,4 +206,5 @@ def _of_mode(summary: dict[str, Any]) -> list[str]:
 def _html(rows: Table) -> str:
     (_, *heads), *rest = rows
     cells = [(escape(row[0]), [escape(cell) for cell in row[1:]]) for row in rest]
-    return f'<div class="wide">{table(heads, cells)}</div>'
+    columns = [(head, "") for head in heads]
+    return f'<div class="wide">{table(columns, cells)}</div>'
