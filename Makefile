@@ -37,8 +37,7 @@ bench: setup
 # Keeps every pin that setup.py still allows; delete requirements.txt first to upgrade them all.
 lock: setup
 	$(BIN)/pip install $(QUIET) uv
-	$(BIN)/uv --no-config pip compile setup.py --extra ros --extra live --extra calibrate --extra test --extra dev \
-	  --universal --python-version 3.10 --default-index https://pypi.org/simple \
+	$(BIN)/uv --no-config pip compile setup.py --all-extras --universal --python-version 3.10 \
 	  --custom-compile-command 'make lock' --quiet --output-file requirements.txt
 
 clean:

@@ -8,6 +8,36 @@
 
 """The command line ``gtmr``."""
 
-from gtmr_study.cli.app import main
+import re
+import sys
+from importlib.metadata import PackageNotFoundError, requires
 
 __all__ = ["main"]
+
+
+def main() -> None:
+    """Run the command line; a part that was not installed is named in one line, exit code 2."""
+    try:
+        from gtmr_study.cli.app import main as run
+
+        run()
+    except ModuleNotFoundError as error:
+        module = (error.name or "").partition(".")[0]
+        extra = _extra_with(module)
+        if extra is None:
+            raise
+        command = " ".join(["gtmr", *sys.argv[1:2]])
+        sys.stderr.write(f"{command} needs {module}: pip install 'gtmr[{extra}]'\n")
+        sys.exit(2)
+
+
+def _extra_with(module: str) -> str | None:
+    """Name the optional part of this package that brings a module."""
+    try:
+        declared = requires("gtmr") or []
+    except PackageNotFoundError:
+        return None
+    for line in declared:
+        if found := re.match(rf"{re.escape(module)}\b.*extra == [\"'](\w+)[\"']", line):
+            return found[1]
+    return None

@@ -8,6 +8,6 @@
 
 """``python -m gtmr_study.cli`` is ``gtmr``."""
 
-from gtmr_study.cli.app import main
+from gtmr_study.cli import main
 
 main()
