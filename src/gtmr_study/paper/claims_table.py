@@ -10,14 +10,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace as Values
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from gtmr_model import N_ZETA
-from gtmr_nmpc import MODES, ControllerConfig
+from gtmr_nmpc import MODES, ControllerConfig, Mode
 from gtmr_sim import GustConfig
 from gtmr_study.campaign.study import Study
 from gtmr_study.paper.claims import (
@@ -51,8 +52,109 @@ class Claim:
     """Ours."""
     verdict: str
     """Whether they agree."""
-    command: str = ""
-    """What shows it; empty if it is the reproduction itself."""
+    command: str
+    """What shows it."""
+
+
+class _Statement(NamedTuple):
+    """How a claim is tried; texts are formats of the values that `_values` gives."""
+
+    claim: str
+    paper: str
+    here: str
+    met: Callable[[Values], bool | str]
+    """Whether it holds, or a verdict of its own."""
+    command: str = "{reproduce}"
+
+
+# One claim after the other: what is claimed; the paper's value, ours; whether it holds.
+# fmt: off
+_REALIZATIONS = _Statement(
+    "realizations a mode (Table II)", f"{TRIALS}", "{least}", lambda v: v.least >= TRIALS)
+_OF_A_MODE = (
+    _Statement("{mode}: trials with a violation (Table II)", f"{{paper.violations}} of {TRIALS}",
+        "{ours[violations]} of {ours[trials]} ({low:.1f} to {high:.1f} %)",
+        lambda v: abs(v.off["violations"]) <= 1.0),
+    _Statement("{mode}: least clearance (Table II)",
+        "{paper.min_clearance_m:.3f} m", "{ours[min_clearance_m]:.3f} m",
+        lambda v: abs(v.off["min_clearance"]) <= 1.0),
+    *(_Statement(f"{{mode}}: residual, {name} (Fig. 2)",
+        f"{{paper.residual_m[{key}]:.3f}} m", f"{{ours[residual_m][{key}]:.3f}} m",
+        lambda v, key=key: abs(v.off[f"residual_{key}"]) <= 1.0)  # type: ignore[misc]
+      for name, key in (("lower whisker", "min"), ("lower quartile", "q1"), ("median", "median"),
+                        ("upper quartile", "q3"), ("upper whisker", "max"))),
+)
+_OF_BOTH = (
+    _Statement(
+        "trials in which the nominal controller violates and the robust one does not (abstract)",
+        "{paper[nominal].violations}, none is left", "{nominal[violations]}, {left} left",
+        lambda v: v.robust["violations"] == 0 < v.nominal["violations"]),
+    _Statement("robust: success rate (Sec. VII)", "100 %", "{success:.4g} %",
+        lambda v: v.robust["violations"] == 0),
+    _Statement("robust: the whole distribution strictly below zero (Fig. 2)",
+        "at most {paper[robust].residual_m[max]:.3f} m", "at most {robust[residual_m][max]:.3f} m",
+        lambda v: v.robust["residual_m"]["max"] < 0.0),
+    _Statement("nominal: distribution centred near d_min - d_ref (Sec. VII)",
+        "{centre:.2f} m", "{nominal[residual_m][median]:.3f} m",
+        lambda v: _near(v.nominal["residual_m"]["median"], v.centre)),
+    _Statement("robust: distribution further in the safe region, by the medians (Sec. VII)",
+        "by {their_shift_mm:.1f} mm", "by {shift_mm:.1f} mm",
+        lambda v: _near(1e-3 * v.shift_mm, 1e-3 * v.their_shift_mm)),
+    _Statement("robust: median clearance (Sec. VII)",
+        f"about {MEDIAN_CLEARANCE_M:.2f} m", "{robust[median_clearance_m]:.3f} m",
+        lambda v: _near(v.robust["median_clearance_m"], MEDIAN_CLEARANCE_M)),
+    _Statement("robust: median clearance above d_ref (Sec. VII)",
+        "above {d_ref:.3f} m", "{robust[median_clearance_m]:.3f} m",
+        lambda v: v.robust["median_clearance_m"] > v.d_ref),
+    _Statement("robust keeps more clearance than nominal, by the least (conclusions)",
+        "{paper[robust].min_clearance_m:.3f} m against {paper[nominal].min_clearance_m:.3f} m",
+        "{robust[min_clearance_m]:.3f} m against {nominal[min_clearance_m]:.3f} m",
+        lambda v: v.robust["min_clearance_m"] > v.nominal["min_clearance_m"]),
+    _Statement("robust: additional clearance where the sensitivity is high (Sec. VII)",
+        "more there", "{extra_mm:.1f} mm more there",
+        lambda v: v.extra_mm >= 1e3 * PLACED_M),
+    _Statement("robust keeps a larger clearance under the wind of Fig. 1", "larger",
+        "{windy[robust][min_clearance_m]:.3f} m against {windy[nominal][min_clearance_m]:.3f} m",
+        lambda v: v.windy["robust"]["min_clearance_m"] > v.windy["nominal"]["min_clearance_m"],
+        "{fly}"),
+    _Statement("nominal tracks the reference more closely there, RMS distance (Sec. VII)",
+        "more closely",
+        "{windy[nominal][tracking_rms_m]:.3f} m against {windy[robust][tracking_rms_m]:.3f} m",
+        lambda v: v.windy["nominal"]["tracking_rms_m"] < v.windy["robust"]["tracking_rms_m"]),
+    _Statement("the vehicle faces the tower without pitching to it there (Sec. II-B)",
+        "no pitch", "at most {tilt:.1f} deg of tilt, {off_tower:.1f} deg off its axis",
+        lambda v: v.tilt <= LEVEL_DEG and v.off_tower < v.edge_deg),
+    *(_Statement(f"{mode}: average solve time, there in MATLAB (Table II)",
+        f"{{paper[{mode}].solve_ms:.1f}} ms", f"{{{mode}[solve_ms][mean]:.2f}} ms",
+        lambda v: NOT_COMPARABLE) for mode in MODES),
+    _Statement(
+        "robust over nominal average solve time, moderate, about twofold (abstract, Sec. VII)",
+        "{their_factor:.2f}", "{factor:.2f}",
+        lambda v: abs(v.factor / v.their_factor - 1.0) <= SOLVE_FACTOR_TOLERANCE
+        or (LOWER if v.factor < v.their_factor else NOT_MET)),
+    _Statement("the optimization's structure is that of the nominal problem (abstract)",
+        "unchanged", "the same QP, another bound{gradient}",
+        lambda v: MET, "pytest tests/nmpc/test_rti_against_ipopt.py"),
+    _Statement("sensitivity states a stage, and over the horizon (Sec. V-A)",
+        "162, 3240", "{states}, {all_states}",
+        lambda v: (v.states, v.all_states) == (162, 3240)),
+    _Statement("Hoelder's bound is looser than eq. (12) (Sec. V-C)",
+        "looser", "at least {hoelder:.2f} times as large", lambda v: v.hoelder > 1.0),
+    _Statement("gusts change a plan's clearance by at most alpha_g (Sec. V-D)",
+        "at most 1.00 of it", "at most {gust:.2f} of it", lambda v: v.gust <= 1.0),
+    _Statement("mismatch in the bounds changes it by at most alpha_p (Sec. V-C, conclusions)",
+        "at most 1.00 of it, to first order", "at most {used[parametric]:.2f} of it in flights, "
+        "{used[worst_parametric]:.2f} at a vertex of the bounds",
+        lambda v: max(v.used["parametric"], v.used["worst_parametric"]) <= 1.0),
+    _Statement("both together change it by at most alpha_p + alpha_g (conclusions)",
+        "at most 1.00 of it", "at most {used[both]:.2f} of it in flights",
+        lambda v: v.used["both"] <= 1.0),
+    _Statement("tilted rotors widen the set of thrust directions (Sec. II-B)",
+        "wider than collinear",
+        "forces in {force_rank} dimensions, collinear in 1; gust rejection not compared",
+        lambda v: v.force_rank > 1),
+)
+# fmt: on
 
 
 def claims(study: Study, results: dict[str, Any]) -> list[Claim]:
@@ -66,21 +168,86 @@ def claims(study: Study, results: dict[str, Any]) -> list[Claim]:
         What was flown.
     results : dict
         Content of reproduction.json, see `reproduce`.
-
-    Returns
-    -------
-    list of Claim
     """
-    summary = results["summary"]
-    rows = [
-        *_figures(summary),
-        *_comparisons(study.controller, summary),
-        _placed(results["calm"]),
-        *_fig_1(study, results["fig_1"]),
-        *_solve_times(summary),
-        *_of_the_formulas(study.controller, results),
-    ]
-    return [replace(row, command=row.command or results["command"]) for row in rows]
+    values = _values(study, results)
+    found = [_tried(_REALIZATIONS, values)]
+    for mode in MODES:
+        found += [_tried(statement, _of_mode(values, mode)) for statement in _OF_A_MODE]
+    return found + [_tried(statement, values) for statement in _OF_BOTH]
+
+
+def _tried(statement: _Statement, values: Values) -> Claim:
+    met = statement.met(values)
+    verdict = met if isinstance(met, str) else MET if met else NOT_MET
+    claim, paper, here, _, command = statement
+    claim, paper, here, command = (
+        text.format(**vars(values)) for text in (claim, paper, here, command)
+    )
+    return Claim(claim, paper, here, verdict, command)
+
+
+def _near(ours_m: float, theirs_m: float) -> bool:
+    return abs(ours_m - theirs_m) <= RESIDUAL_TOLERANCE_M
+
+
+def _of_mode(values: Values, mode: Mode) -> Values:
+    """Make the values that one mode's row of Table II and box of Fig. 2 are tried by."""
+    ours = getattr(values, mode)
+    low, high = (100.0 * bound for bound in ours["violation_rate_95"])
+    off = deviations(ours, mode)
+    own = {"mode": mode, "ours": ours, "paper": PAPER[mode], "off": off}
+    return Values(**vars(values) | own, low=low, high=high)
+
+
+def _values(study: Study, results: dict[str, Any]) -> Values:
+    """Make the values that claims are tried by."""
+    config, summary, windy = study.controller, results["summary"], results["fig_1"]
+    nominal, robust, tower = summary["nominal"], summary["robust"], config.tower
+    shift_m = nominal["residual_m"]["median"] - robust["residual_m"]["median"]
+    their_shift_m = PAPER["nominal"].residual_m["median"] - PAPER["robust"].residual_m["median"]
+    found = {part: by for part, by in results["first_order"].items() if part != "plans"}
+    used = {part: max(by_stage["max"]) for part, by_stage in found.items()}
+    states = N_ZETA * config.vehicle.n_x
+    edge = np.arcsin(tower.radius_m / (tower.radius_m + tower.min_clearance_m))
+    return Values(
+        nominal=nominal,
+        robust=robust,
+        paper=PAPER,
+        windy=windy,
+        used=used,
+        reproduce=results["command"],
+        fly=_fly_command(study) or results["command"],
+        least=min(nominal["trials"], robust["trials"]),
+        left=robust["violations"] or "none",
+        success=100.0 * (1.0 - robust["violations"] / robust["trials"]),
+        d_ref=config.helix.offset_m,
+        centre=tower.min_clearance_m - config.helix.offset_m,
+        shift_mm=1e3 * shift_m,
+        their_shift_mm=1e3 * their_shift_m,
+        # Rounded, with no sign on what is none.
+        extra_mm=round(1e3 * results["calm"]["extra_clearance_m"], 1) + 0.0,
+        tilt=max(windy[mode]["tilt_deg"] for mode in MODES),
+        off_tower=max(windy[mode]["off_tower_deg"] for mode in MODES),
+        edge_deg=np.degrees(edge),
+        factor=robust["solve_ms"]["mean"] / nominal["solve_ms"]["mean"],
+        their_factor=PAPER["robust"].solve_ms / PAPER["nominal"].solve_ms,
+        gradient="" if config.tightening == "frozen" else " and gradient",
+        states=states,
+        all_states=states * config.horizon,
+        hoelder=results["hoelder_ratio"],
+        gust=max(used["gust"], used["worst_gust"]),
+        force_rank=int(np.linalg.matrix_rank(config.vehicle.allocation[:3])),
+    )
+
+
+def _fly_command(study: Study) -> str:
+    """Find the robust flight of Fig. 1 as a command of its own, if the study is the default."""
+    zeta = " ".join(f"{value:g}" for value in (*(0.0,) * 6, *WIND_BIAS_N))
+    flight = f"gtmr fly --mode robust --seed {study.seed} --zeta {zeta}"
+    if study.duration_s != 50.0:
+        flight += f" --duration {study.duration_s:g}"
+    default = (ControllerConfig(), GustConfig(), None)
+    return flight if (study.controller, study.gust, study.uncertainty) == default else ""
 
 
 def claims_markdown(found: dict[str, Sequence[Claim]]) -> str:
@@ -91,10 +258,6 @@ def claims_markdown(found: dict[str, Sequence[Claim]]) -> str:
     found : dict
         The same claims as found with one controller or with several, by the controller's name;
         the commands are those of the first.
-
-    Returns
-    -------
-    str
     """
     several = len(found) > 1
     verdicts = [f"verdict, {name}" if several else "verdict" for name in found]
@@ -107,256 +270,6 @@ def claims_markdown(found: dict[str, Sequence[Claim]]) -> str:
 
 
 def markdown_table(rows: Sequence[Sequence[str]]) -> str:
-    """Write a table.
-
-    Parameters
-    ----------
-    rows : sequence of sequence of str
-        The titles of the columns, then the rows.
-
-    Returns
-    -------
-    str
-    """
+    """Write a table of rows in Markdown; the first has the titles of the columns."""
     lines = [rows[0], ["---"] * len(rows[0]), *rows[1:]]
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
-
-
-_RESIDUAL_NAMES = {
-    "lower whisker": "min",
-    "lower quartile": "q1",
-    "median": "median",
-    "upper quartile": "q3",
-    "upper whisker": "max",
-}
-
-
-def _verdict(met: bool) -> str:
-    return MET if met else NOT_MET
-
-
-def _figures(summary: dict[str, Any]) -> list[Claim]:
-    """Table II and Fig. 2, figure by figure."""
-    least = min(summary[mode]["trials"] for mode in MODES)
-    rows = [
-        Claim("realizations a mode (Table II)", str(TRIALS), str(least), _verdict(least >= TRIALS))
-    ]
-    for mode, paper in PAPER.items():
-        ours, off = summary[mode], deviations(summary[mode], mode)
-        low, high = (100.0 * bound for bound in ours["violation_rate_95"])
-        rows.append(
-            Claim(
-                f"{mode}: trials with a violation (Table II)",
-                f"{paper.violations} of {TRIALS}",
-                f"{ours['violations']} of {ours['trials']} ({low:.1f} to {high:.1f} %)",
-                _verdict(abs(off["violations"]) <= 1.0),
-            )
-        )
-        lengths = [
-            ("least clearance (Table II)", "min_clearance", paper.min_clearance_m,
-             ours["min_clearance_m"])
-        ]  # fmt: skip
-        lengths += [
-            (f"residual, {name} (Fig. 2)", f"residual_{key}", paper.residual_m[key],
-             ours["residual_m"][key])
-            for name, key in _RESIDUAL_NAMES.items()
-        ]  # fmt: skip
-        rows += [
-            Claim(
-                f"{mode}: {name}",
-                f"{theirs:.3f} m",
-                f"{length:.3f} m",
-                _verdict(abs(off[key]) <= 1.0),
-            )
-            for name, key, theirs, length in lengths
-        ]
-    return rows
-
-
-def _comparisons(config: ControllerConfig, summary: dict[str, Any]) -> list[Claim]:
-    """Try what the text says of the two controllers, in words or in round numbers."""
-    nominal, robust = summary["nominal"], summary["robust"]
-    theirs, d_min = PAPER["robust"], config.tower.min_clearance_m
-    d_ref = config.helix.offset_m
-    violated, left = nominal["violations"], robust["violations"]
-    shift = nominal["residual_m"]["median"] - robust["residual_m"]["median"]
-    their_shift = PAPER["nominal"].residual_m["median"] - theirs.residual_m["median"]
-    nominal_m, robust_m = nominal["min_clearance_m"], robust["min_clearance_m"]
-    median_m, highest_m = robust["median_clearance_m"], robust["residual_m"]["max"]
-    centre_m = nominal["residual_m"]["median"]
-    success = 100.0 * (1.0 - left / robust["trials"])
-    return [
-        Claim(
-            "trials in which the nominal controller violates and the robust one does not "
-            "(abstract)",
-            f"{PAPER['nominal'].violations}, none is left",
-            f"{violated}, {left or 'none'} left",
-            _verdict(left == 0 < violated),
-        ),
-        Claim("robust: success rate (Sec. VII)", "100 %", f"{success:.4g} %", _verdict(left == 0)),
-        Claim(
-            "robust: the whole distribution strictly below zero (Fig. 2)",
-            f"at most {theirs.residual_m['max']:.3f} m",
-            f"at most {highest_m:.3f} m",
-            _verdict(highest_m < 0.0),
-        ),
-        Claim(
-            "nominal: distribution centred near d_min - d_ref (Sec. VII)",
-            f"{d_min - d_ref:.2f} m",
-            f"{centre_m:.3f} m",
-            _verdict(abs(centre_m - (d_min - d_ref)) <= RESIDUAL_TOLERANCE_M),
-        ),
-        Claim(
-            "robust: distribution further in the safe region, by the medians (Sec. VII)",
-            f"by {1e3 * their_shift:.1f} mm",
-            f"by {1e3 * shift:.1f} mm",
-            _verdict(abs(shift - their_shift) <= RESIDUAL_TOLERANCE_M),
-        ),
-        Claim(
-            "robust: median clearance (Sec. VII)",
-            f"about {MEDIAN_CLEARANCE_M:.2f} m",
-            f"{median_m:.3f} m",
-            _verdict(abs(median_m - MEDIAN_CLEARANCE_M) <= RESIDUAL_TOLERANCE_M),
-        ),
-        Claim(
-            "robust: median clearance above d_ref (Sec. VII)",
-            f"above {d_ref:.3f} m",
-            f"{median_m:.3f} m",
-            _verdict(median_m > d_ref),
-        ),
-        Claim(
-            "robust keeps more clearance than nominal, by the least (conclusions)",
-            f"{theirs.min_clearance_m:.3f} m against {PAPER['nominal'].min_clearance_m:.3f} m",
-            f"{robust_m:.3f} m against {nominal_m:.3f} m",
-            _verdict(robust_m > nominal_m),
-        ),
-    ]
-
-
-def _solve_times(summary: dict[str, Any]) -> list[Claim]:
-    ours = {mode: summary[mode]["solve_ms"]["mean"] for mode in MODES}
-    rows = [
-        Claim(
-            f"{mode}: average solve time, there in MATLAB (Table II)",
-            f"{PAPER[mode].solve_ms:.1f} ms",
-            f"{ours[mode]:.2f} ms",
-            NOT_COMPARABLE,
-        )
-        for mode in MODES
-    ]
-    theirs = PAPER["robust"].solve_ms / PAPER["nominal"].solve_ms
-    factor = ours["robust"] / ours["nominal"]
-    verdict = _verdict(abs(factor / theirs - 1.0) <= SOLVE_FACTOR_TOLERANCE)
-    if factor < theirs and verdict == NOT_MET:
-        verdict = LOWER
-    name = "robust over nominal average solve time, moderate, about twofold (abstract, Sec. VII)"
-    return [*rows, Claim(name, f"{theirs:.2f}", f"{factor:.2f}", verdict)]
-
-
-def _of_the_formulas(config: ControllerConfig, results: dict[str, Any]) -> list[Claim]:
-    """Try what is said of the method rather than of a flight."""
-    found, stages = results["first_order"], config.horizon
-    states = N_ZETA * config.vehicle.n_x
-    force_rank = int(np.linalg.matrix_rank(config.vehicle.allocation[:3]))
-    gust = max(*found["gust"]["max"], *found["worst_gust"]["max"])
-    vertex, flown = max(found["worst_parametric"]["max"]), max(found["parametric"]["max"])
-    both = max(found["both"]["max"])
-    frozen = config.tightening == "frozen"
-    return [
-        Claim(
-            "the optimization's structure is that of the nominal problem (abstract)",
-            "unchanged",
-            "the same QP, another bound" if frozen else "the same QP, another bound and gradient",
-            MET,
-            "pytest tests/test_rti_against_ipopt.py",
-        ),
-        Claim(
-            "sensitivity states a stage, and over the horizon (Sec. V-A)",
-            "162, 3240",
-            f"{states}, {states * stages}",
-            _verdict((states, stages) == (162, 20)),
-        ),
-        Claim(
-            "Hoelder's bound is looser than eq. (12) (Sec. V-C)",
-            "looser",
-            f"at least {results['hoelder_ratio']:.2f} times as large",
-            _verdict(results["hoelder_ratio"] > 1.0),
-        ),
-        Claim(
-            "gusts change a plan's clearance by at most alpha_g (Sec. V-D)",
-            "at most 1.00 of it",
-            f"at most {gust:.2f} of it",
-            _verdict(gust <= 1.0),
-        ),
-        Claim(
-            "mismatch in the bounds changes it by at most alpha_p (Sec. V-C, conclusions)",
-            "at most 1.00 of it, to first order",
-            f"at most {flown:.2f} of it in flights, {vertex:.2f} at a vertex of the bounds",
-            _verdict(max(flown, vertex) <= 1.0),
-        ),
-        Claim(
-            "both together change it by at most alpha_p + alpha_g (conclusions)",
-            "at most 1.00 of it",
-            f"at most {both:.2f} of it in flights",
-            _verdict(both <= 1.0),
-        ),
-        Claim(
-            "tilted rotors widen the set of thrust directions (Sec. II-B)",
-            "wider than collinear",
-            f"forces in {force_rank} dimensions, collinear in 1; gust rejection not compared",
-            _verdict(force_rank > 1),
-        ),
-    ]
-
-
-def _placed(calm: dict[str, float]) -> Claim:
-    # Rounded, with no sign on what is none.
-    extra = round(calm["extra_clearance_m"], 4) + 0.0
-    return Claim(
-        "robust: additional clearance where the sensitivity is high (Sec. VII)",
-        "more there",
-        f"{1e3 * extra:.1f} mm more there",
-        _verdict(extra >= PLACED_M),
-    )
-
-
-def _fig_1(study: Study, flights: dict[str, dict[str, float]]) -> list[Claim]:
-    """Fig. 1 and what is said of it; it gives no numbers."""
-    nominal, robust = flights["nominal"], flights["robust"]
-    least = {mode: flights[mode]["min_clearance_m"] for mode in MODES}
-    tracking = {mode: flights[mode]["tracking_rms_m"] for mode in MODES}
-    tilt = max(nominal["tilt_deg"], robust["tilt_deg"])
-    off = max(nominal["off_tower_deg"], robust["off_tower_deg"])
-    tower = study.controller.tower
-    edge = np.degrees(np.arcsin(tower.radius_m / (tower.radius_m + tower.min_clearance_m)))
-    return [
-        Claim(
-            "robust keeps a larger clearance under the wind of Fig. 1",
-            "larger",
-            f"{least['robust']:.3f} m against {least['nominal']:.3f} m",
-            _verdict(least["robust"] > least["nominal"]),
-            _fly_command(study),
-        ),
-        Claim(
-            "nominal tracks the reference more closely there, RMS distance (Sec. VII)",
-            "more closely",
-            f"{tracking['nominal']:.3f} m against {tracking['robust']:.3f} m",
-            _verdict(tracking["nominal"] < tracking["robust"]),
-        ),
-        Claim(
-            "the vehicle faces the tower without pitching to it there (Sec. II-B)",
-            "no pitch",
-            f"at most {tilt:.1f} deg of tilt, {off:.1f} deg off its axis",
-            _verdict(tilt <= LEVEL_DEG and off < edge),
-        ),
-    ]
-
-
-def _fly_command(study: Study) -> str:
-    """Find the robust flight of Fig. 1 as a command of its own, if the study is the default."""
-    zeta = " ".join(f"{value:g}" for value in (*(0.0,) * 6, *WIND_BIAS_N))
-    flight = f"gtmr fly --mode robust --seed {study.seed} --zeta {zeta}"
-    if study.duration_s != 50.0:
-        flight += f" --duration {study.duration_s:g}"
-    default = (ControllerConfig(), GustConfig(), None)
-    return flight if (study.controller, study.gust, study.uncertainty) == default else ""
