@@ -9,7 +9,8 @@
 """Physics and geometry that controller, plant and reports agree on; no ROS in here."""
 
 from gtmr_model.dynamics import dynamics
-from gtmr_model.helix import Helix, Reference
+from gtmr_model.helix import Helix
+from gtmr_model.reference import Reference, ReferencePath
 from gtmr_model.tower import Tower
 from gtmr_model.uncertainty import CHANNELS, N_ZETA, UncertaintySet
 from gtmr_model.vehicle import NamedVehicle, Rotor, Vehicle
@@ -22,6 +23,7 @@ __all__ = [
     "Helix",
     "NamedVehicle",
     "Reference",
+    "ReferencePath",
     "Rotor",
     "Tower",
     "UncertaintySet",

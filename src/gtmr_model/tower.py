@@ -10,8 +10,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 
 from gtmr_model.yaml_model import YamlModel
@@ -25,33 +28,36 @@ class Tower(YamlModel):
     min_clearance_m: float = Field(0.2, gt=0.0)
     """d_min, the least admissible clearance [m] (Table I)."""
 
-    def clearance(self, position: ArrayLike) -> NDArray[np.float64]:
+    def clearance(self, position: ArrayLike | ca.SX) -> Any:
         """Distance to the tower's surface, d_T(p) = rho(p) - R (Sec. II-A).
 
         Parameters
         ----------
-        position : array_like, shape (..., 3) or longer in the last axis
+        position : array_like, shape (..., 3) or longer in the last axis, or CasADi symbol
             Positions, or states that start with a position, world frame [m].
 
         Returns
         -------
-        NDArray, shape (...,)
+        NDArray, shape (...,), or CasADi expression
             [m], negative inside the tower.
         """
-        p = np.asarray(position, dtype=float)
-        return np.hypot(p[..., 0], p[..., 1]) - self.radius_m
+        p: Any = position
+        if not isinstance(p, ca.SX):
+            p = np.moveaxis(np.asarray(p, dtype=float), -1, 0)
+        root: Any = ca.sqrt if isinstance(p, ca.SX) else np.sqrt
+        return root(p[0] * p[0] + p[1] * p[1]) - self.radius_m
 
-    def residual(self, position: ArrayLike) -> NDArray[np.float64]:
+    def residual(self, position: ArrayLike | ca.SX) -> Any:
         """Clearance residual s = d_min - d_T(p); above zero the constraint (1) is violated.
 
         Parameters
         ----------
-        position : array_like, shape (..., 3) or longer in the last axis
+        position : array_like, shape (..., 3) or longer in the last axis, or CasADi symbol
             Positions, or states that start with a position, world frame [m].
 
         Returns
         -------
-        NDArray, shape (...,)
+        NDArray, shape (...,), or CasADi expression
             [m].
         """
         return self.min_clearance_m - self.clearance(position)

@@ -14,6 +14,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 from typing_extensions import Self
@@ -83,6 +84,26 @@ class YamlModel(BaseModel):
             return cls.model_validate(data)
         except ValidationError as error:
             raise ConfigError(f"{source}: {describe(error)}") from None
+
+    @classmethod
+    def symbolic(cls) -> tuple[Self, ca.SX]:
+        """Make an instance whose numbers are symbols: its formulas then give expressions.
+
+        Returns
+        -------
+        tuple of Self and casadi.SX
+            The instance, and the symbols in the order of `numbers`.
+        """
+        names = [name for name, info in cls.model_fields.items() if info.annotation is float]
+        symbols: dict[str, Any] = {name: ca.SX.sym(name) for name in names}
+        made: Any = cls.model_construct(**symbols)
+        return made, ca.vertcat(*symbols.values())
+
+    @property
+    def numbers(self) -> list[float]:
+        """Values of the fields that are one number each, in the order of the fields."""
+        fields = type(self).model_fields.items()
+        return [getattr(self, name) for name, info in fields if info.annotation is float]
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> Self:

@@ -9,15 +9,18 @@
 """The tower's clearance and the helical reference."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gtmr_model import Helix, Tower, Vehicle
+from gtmr_model import ConfigError, Helix, Tower, Vehicle
+from gtmr_nmpc import Controller, ControllerConfig
+from gtmr_sim import Scenario, fly
 
 HELICES = st.builds(
     Helix,
     offset_m=st.floats(0.25, 2.0),
-    speed_m_s=st.floats(-1.0, 1.0),
+    speed_m_s=st.floats(-1.0, 1.0).filter(bool),
     climb_m_s=st.floats(-0.2, 0.2),
     start_angle_rad=st.floats(-3.0, 3.0),
 )
@@ -63,3 +66,16 @@ def test_flight_starts_on_the_helix_level_and_in_hover():
     np.testing.assert_array_equal(x[6:9], start.velocity[0])
     np.testing.assert_array_equal(x[3:5], 0.0)
     np.testing.assert_array_equal(x[12:], vehicle.hover_rotor_speeds_hz)
+
+
+def test_a_helix_that_stands_still_is_refused_in_one_line():
+    with pytest.raises(ConfigError, match=r"^here: speed_m_s = 0\.0: .*below 0 clockwise$"):
+        Helix.parse({"speed_m_s": 0.0}, "here")
+
+
+def test_a_clockwise_helix_flies():
+    scenario = Scenario(helix=Helix(speed_m_s=-0.5))
+    log = fly(scenario, Controller(ControllerConfig(helix=scenario.helix), "nominal"), 2.0)
+    reference = scenario.helix.at(log.t, scenario.tower)
+    assert np.abs(log.x[:, :3] - reference.position).max() < 0.1
+    assert np.unwrap(np.arctan2(log.x[:, 1], log.x[:, 0]))[-1] < -0.6

@@ -17,11 +17,14 @@ import casadi as ca
 from gtmr_codegen.c_source import c_function
 from gtmr_model import N_ZETA
 from gtmr_model.dynamics import ROTORS
+from gtmr_model.reference import reference_function
 from gtmr_nmpc import ocp, sensitivity
 from gtmr_nmpc.config import ControllerConfig
 
 BODY = slice(0, ROTORS.start)
 """The states with dynamics of their own in x; the rotor speeds integrate the inputs."""
+MAX_REFERENCE_NUMBERS = 16
+"""Room for the numbers of a reference in ``gtmr_parameters``."""
 GENERATED_FLAGS = ("-O2", "-ffp-contract=fast", "-Wno-unused-variable")
 """Straight-line code: -O3 finds nothing more in it, and takes longer."""
 WRITTEN_FLAGS = ("-O3", "-ffp-contract=fast")
@@ -30,7 +33,8 @@ WRITTEN_FLAGS = ("-O3", "-ffp-contract=fast")
 def c_sources(config: ControllerConfig) -> dict[str, str]:
     """All sources of the controller of a problem.
 
-    They depend on the vehicle's dynamics, T_s and N alone; all else is in ``gtmr_parameters``.
+    They depend on the vehicle's dynamics, the kind of reference, T_s and N alone; all else is in
+    ``gtmr_parameters``.
 
     Parameters
     ----------
@@ -73,16 +77,23 @@ def flags(sources: dict[str, str]) -> dict[str, tuple[str, ...]]:
 def _model(config: ControllerConfig) -> dict[str, str]:
     linearise, jacobian, dF_dzeta = _linearise(config)
     functions = [linearise, _bending(config), _adjoint(config)]
+    by_point = [_reference(config), *_clearance()]
     sources = {
         f"{function.name()}.c": (
             f'/* Generated. */\n#include "problem.h"\n\n{c_function(function, "vec")}'
         )
         for function in functions
     }
+    sources["model_points.c"] = "/* Generated. */\n" + "\n".join(
+        ["#include <math.h>\n", '#include "problem.h"\n', *(c_function(f) for f in by_point)]
+    )
     lanes_in = max(sum(f.nnz_in(i) for i in range(f.n_in())) for f in functions)
     lanes_out = max(sum(f.nnz_out(i) for i in range(f.n_out())) for f in functions)
     prototypes = "\n".join(
         f"void {f.name()}(const vec *restrict in, vec *restrict out);" for f in functions
+    )
+    prototypes_by_point = "\n".join(
+        f"void {f.name()}(const double *restrict in, double *restrict out);" for f in by_point
     )
     sources["problem.h"] = f"""\
 /* Generated: dimensions and model of one problem. */
@@ -92,6 +103,9 @@ def _model(config: ControllerConfig) -> dict[str, str]:
 #include "vec.h"
 
 #define STAGES {config.horizon}
+#define BODY {BODY.stop} /* p, eta, v, omega: the states with dynamics of their own */
+#define N_H {ocp.N_H} /* outputs that the cost weighs */
+#define N_ZETA {N_ZETA}
 #define ROTORS {config.vehicle.n_rotors}
 #define PERIOD_S {config.sampling_time_s!r}
 #define MODEL_LANES_IN {lanes_in}
@@ -101,6 +115,13 @@ def _model(config: ControllerConfig) -> dict[str, str]:
  * lane, nonzeros only. (x, u, Pi s, s, dx, du) -> second derivative of F along both directions.
  * (x, u, lambda, Pi s, s) -> gradient of lambda' (dF/dx Pi s + dF/dzeta s) in (x, u). */
 {prototypes}
+
+/* One point a call. (t, R, numbers of the reference) -> r, in the order of h. (p, R, d_min) -> y
+ * and J_yx, (p, direction) -> d(J_yx direction)/dp, both horizontal. */
+{prototypes_by_point}
+
+/* h, eq. (6): the state that an output is, or none, and then it is an acceleration. */
+#define OUTPUT_STATES {_output_states(config)}
 
 /* Where the nonzeros go, in rows of ld entries. */
 #define JACOBIAN_NONZEROS {jacobian.nnz()}
@@ -132,6 +153,42 @@ def _linearise(config: ControllerConfig) -> tuple[ca.Function, ca.Sparsity, ca.S
     placed = ca.horzcat(ca.SX(both.numel(), 3), results[2]).sparsity()
     function = ca.Function("model_linearise", [x, u], ca.cse(results))
     return function, placed, results[3].sparsity()
+
+
+def _reference(config: ControllerConfig) -> ca.Function:
+    """R of eq. (6): level, and turning with the yaw of the reference."""
+    follow = reference_function(type(config.helix))
+    t, numbers = ca.SX.sym("t"), ca.SX.sym("numbers", follow.size1_in(1))
+    if numbers.numel() > 1 + MAX_REFERENCE_NUMBERS:
+        raise ValueError(
+            f"{type(config.helix).__name__} has {numbers.numel() - 1} numbers: a compiled "
+            f"reference has at most {MAX_REFERENCE_NUMBERS}"
+        )
+    position, velocity, acceleration, yaw, yaw_rate = follow(t, numbers)
+    r = ca.vertcat(position, velocity, acceleration, 0, 0, yaw, 0, 0, yaw_rate)
+    return ca.Function("model_reference", [t, numbers], [ca.densify(ca.cse(r))])
+
+
+def _clearance() -> list[ca.Function]:
+    """Write y with J_yx, and the curvature, as functions of their own; nonzeros only."""
+    p, sizes, direction = (ca.SX.sym(n, k) for n, k in (("p", 3), ("sizes", 2), ("d", 3)))
+    y, gradient, curvature = ocp.clearance_constraint()(p, sizes, direction)
+    return [
+        ca.Function("model_clearance", [p, sizes], ca.cse([y, gradient])),
+        ca.Function("model_curvature", [p, direction], ca.cse([curvature])),
+    ]
+
+
+def _output_states(config: ControllerConfig) -> str:
+    """Find the outputs that are states themselves by their rows of dh/dx."""
+    h = ocp.output_map(config)
+    x = ca.SX.sym("x", config.vehicle.n_x)
+    rows = [ca.jacobian(entry, x) for entry in ca.vertsplit(h(x))]
+    states = [
+        row.sparsity().get_triplet()[1][0] if row.nnz() == 1 and row.is_constant() else -1
+        for row in rows
+    ]
+    return ", ".join(str(state) for state in states)
 
 
 def _bending(config: ControllerConfig) -> ca.Function:

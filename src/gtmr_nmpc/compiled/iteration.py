@@ -39,11 +39,7 @@ class CParameters(ctypes.Structure):
     _fields_ = (
         ("tower_radius_m", ctypes.c_double),
         ("min_clearance_m", ctypes.c_double),
-        ("helix_radius_m", ctypes.c_double),
-        ("helix_speed_m_s", ctypes.c_double),
-        ("helix_climb_m_s", ctypes.c_double),
-        ("helix_start_height_m", ctypes.c_double),
-        ("helix_start_angle_rad", ctypes.c_double),
+        ("reference", ctypes.c_double * codegen.MAX_REFERENCE_NUMBERS),
         ("min_rotor_speed_hz", ctypes.c_double),
         ("max_rotor_speed_hz", ctypes.c_double),
         ("max_rotor_acceleration_hz_s", ctypes.c_double),
@@ -71,16 +67,12 @@ def parameters(config: ControllerConfig) -> CParameters:
     -------
     CParameters
     """
-    tower, helix, vehicle, weights = config.tower, config.helix, config.vehicle, config.weights
+    tower, vehicle, weights = config.tower, config.vehicle, config.weights
     first_gust_m = margins.gust_margin(config.uncertainty, vehicle, 1, config.sampling_time_s)[1]
     return CParameters(
         tower_radius_m=tower.radius_m,
         min_clearance_m=tower.min_clearance_m,
-        helix_radius_m=tower.radius_m + helix.offset_m,
-        helix_speed_m_s=helix.speed_m_s,
-        helix_climb_m_s=helix.climb_m_s,
-        helix_start_height_m=helix.start_height_m,
-        helix_start_angle_rad=helix.start_angle_rad,
+        reference=tuple(config.helix.numbers),
         min_rotor_speed_hz=vehicle.min_rotor_speed_hz,
         max_rotor_speed_hz=vehicle.max_rotor_speed_hz,
         max_rotor_acceleration_hz_s=vehicle.max_rotor_acceleration_hz_s,
@@ -174,6 +166,7 @@ def _compiled_part(config: ControllerConfig) -> ControllerConfig:
     """Keep only what the sources depend on, so that the rest does not compile them again."""
     return ControllerConfig(
         vehicle=config.vehicle,
+        helix=type(config.helix)(),
         horizon=config.horizon,
         sampling_time_s=config.sampling_time_s,
     )

@@ -14,50 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gtmr_model import Tower, UncertaintySet, Vehicle
+from gtmr_nmpc import ocp
 
 Array = NDArray[np.float64]
 
 ZERO_MARGIN_M = 1e-12
 """Terms of alpha_p below this are zero by symmetry, as in hover, and their sign is rounding's."""
-
-
-def clearance_gradient(positions: Array) -> Array:
-    """Position part of J_yx, eq. (9): the rest of the row is zero.
-
-    Parameters
-    ----------
-    positions : NDArray, shape (n, 3)
-        World frame [m], off the tower's axis.
-
-    Returns
-    -------
-    NDArray, shape (n, 3)
-        Gradient of y = d_min - d_T(p), the unit vector towards the tower [-].
-    """
-    horizontal = positions * [1.0, 1.0, 0.0]
-    return -horizontal / np.linalg.norm(horizontal, axis=1, keepdims=True)
-
-
-def clearance_curvature(positions: Array, direction: Array) -> Array:
-    """Second derivative of y in one direction per row: d(J_yx direction)/dp.
-
-    Parameters
-    ----------
-    positions : NDArray, shape (n, 3)
-        World frame [m], off the tower's axis.
-    direction : NDArray, shape (n, 3)
-        World frame.
-
-    Returns
-    -------
-    NDArray, shape (n, 3)
-        [1/m] times the unit of ``direction``.
-    """
-    rho = np.hypot(positions[:, 0], positions[:, 1])[:, None]
-    outward = positions * [1.0, 1.0, 0.0] / rho
-    horizontal = direction * [1.0, 1.0, 0.0]
-    along = (outward * horizontal).sum(axis=1, keepdims=True)
-    return -(horizontal - along * outward) / rho
 
 
 def clearance_sensitivity(positions: Array, pi: Array) -> Array:
@@ -75,7 +37,7 @@ def clearance_sensitivity(positions: Array, pi: Array) -> Array:
     NDArray, shape (N + 1, 9)
         [m] per unit of zeta.
     """
-    sensitivity: Array = np.einsum("ij,ijk->ik", clearance_gradient(positions), pi[:, :3, :])
+    sensitivity: Array = np.einsum("ij,ijk->ik", ocp.clearance_gradient(positions), pi[:, :3, :])
     return sensitivity
 
 

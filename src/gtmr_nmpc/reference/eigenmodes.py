@@ -75,7 +75,7 @@ class _MovingLoop:
     def __init__(self, config: ControllerConfig) -> None:
         self._config = config
         self._rti = RealTimeIteration(config)
-        self._turn = config.helix.at(0.0, config.tower).yaw_rate * config.sampling_time_s
+        self._turn = config.helix.at(0.0, config.tower).yaw_rate[0] * config.sampling_time_s
         self._climb = config.helix.climb_m_s * config.sampling_time_s
         self._back = Rotation.from_euler("Z", -self._turn).as_matrix()
         self._guess: Trajectory | None = None

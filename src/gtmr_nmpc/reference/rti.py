@@ -228,7 +228,7 @@ class RealTimeIteration:
         hessian = 2.0 * (j_u.T @ j_u)
         hessian[np.diag_indices_from(hessian)] += 2.0 * q_u
 
-        gradient_y = margins.clearance_gradient(iterate.x[:, POSITION])
+        gradient_y = ocp.clearance_gradient(iterate.x[:, POSITION])
         rows = np.einsum("ij,ijk->ik", gradient_y, dx_du[:, POSITION])
         rows_dx0 = np.einsum("ij,ijk->ik", gradient_y, dx_dx0[:, POSITION])
         offset = np.einsum("ij,ij->i", gradient_y, defect[:, POSITION])
@@ -314,7 +314,7 @@ class RealTimeIteration:
     def _margin_gradient(self, iterate: Trajectory, a: Array, pi: Array) -> tuple[Array, Array]:
         """Differentiate alpha_p,i = J_yx(x_i) Pi_i s_i with the signs s_i held."""
         n, n_x, n_u = self.config.horizon, self.config.vehicle.n_x, self.config.vehicle.n_rotors
-        gradient_y = margins.clearance_gradient(iterate.x[:, POSITION])
+        gradient_y = ocp.clearance_gradient(iterate.x[:, POSITION])
         pi_y = margins.clearance_sensitivity(iterate.x[:, POSITION], pi)
         signs = margins.worst_vertex(pi_y, self.config.uncertainty)
         margin, step = np.tril_indices(n)
@@ -338,7 +338,7 @@ class RealTimeIteration:
         d_x[margin, step] = gradient[:, :n_x]
         d_u[margin, step] = gradient[:, n_x:]
         stages = np.arange(n + 1)
-        d_x[stages, stages, POSITION] += margins.clearance_curvature(
+        d_x[stages, stages, POSITION] += ocp.clearance_curvature(
             iterate.x[:, POSITION], direction[stages, stages, POSITION]
         )
         return d_x, d_u

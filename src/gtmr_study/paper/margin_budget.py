@@ -88,7 +88,7 @@ def hoelder_ratio(config: ControllerConfig) -> float:
 
 def _plans_of_a_turn(config: ControllerConfig) -> list[Solution]:
     controller, helix = Controller(config, "robust"), config.helix
-    turn_s = 2.0 * np.pi / helix.at(0.0, config.tower).yaw_rate
+    turn_s = 2.0 * np.pi / helix.at(0.0, config.tower).yaw_rate[0]
     plans = []
     for turned in np.arange(ORBIT_SAMPLES) / ORBIT_SAMPLES:
         t = float(turned * turn_s)

@@ -67,7 +67,7 @@ class DoMpcRival:
         def weighted(weights: tuple[float, ...], error: Any) -> Any:
             return ca.dot(ca.DM(weights), error * error)
 
-        yaw_rate = config.helix.at(0.0, tower).yaw_rate
+        yaw_rate = config.helix.at(0.0, tower).yaw_rate[0]
         stage = (
             weighted(w.position, x[POSITION] - r[0:3])
             + weighted(w.velocity, x[VELOCITY] - r[3:6])

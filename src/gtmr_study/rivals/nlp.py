@@ -256,7 +256,7 @@ def _cost(config: ControllerConfig, x: ca.MX, u: ca.MX, reference: ca.MX) -> ca.
     w, vehicle = config.weights, config.vehicle
     xs, us, zs, ws = symbols(vehicle)
     dynamics = ca.Function("f", [xs, us, zs, ws], [state_derivative(xs, us, zs, ws, vehicle)])
-    yaw_rate = config.helix.at(0.0, config.tower).yaw_rate
+    yaw_rate = config.helix.at(0.0, config.tower).yaw_rate[0]
 
     def weighted(weights: tuple[float, ...], error: ca.MX) -> ca.MX:
         return ca.dot(ca.DM(weights), error * error)

@@ -165,10 +165,10 @@ static int inequalities(gtmr_controller *c, const double *x)
 /* Stage 0 is measured, not planned: its violation is a fact and no variable of the QP. */
 static double measured_slack(const gtmr_controller *c, const double *x)
 {
-    const double distance = sqrt(x[0] * x[0] + x[1] * x[1]) - c->parameters.tower_radius_m;
     const clearance *now = &c->clearances[0];
-    const double residual =
-        c->parameters.min_clearance_m - distance + now->alpha_p + now->alpha_g;
+    double constraint[3];
+    clearance_at(&c->parameters, x, constraint);
+    const double residual = constraint[0] + now->alpha_p + now->alpha_g;
     return residual > 0.0 ? residual : 0.0;
 }
 

@@ -19,14 +19,11 @@
 
 /* What may change without compiling again; the vehicle, T_s and N may not. */
 typedef struct {
-    /* The tower and the helix around it. */
+    /* The tower, and the numbers of the reference: of a helix its offset d_ref, speed, climb,
+     * start height and start angle, in m, m/s and rad. */
     double tower_radius_m;
     double min_clearance_m;
-    double helix_radius_m;
-    double helix_speed_m_s;
-    double helix_climb_m_s;
-    double helix_start_height_m;
-    double helix_start_angle_rad;
+    double reference[16];
     /* Rotor limits. */
     double min_rotor_speed_hz;
     double max_rotor_speed_hz;

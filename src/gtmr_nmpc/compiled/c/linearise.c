@@ -14,6 +14,7 @@
 /* Where the model's sparse outputs go. */
 static const unsigned short JACOBIAN_AT[JACOBIAN_NONZEROS] = {JACOBIAN_PLACES(LD_XU)};
 static const unsigned short DF_DZETA_AT[DF_DZETA_NONZEROS] = {DF_DZETA_PLACES(LD_ZETA)};
+static const short OUTPUT_STATE[N_H] = {OUTPUT_STATES};
 
 static double *lane(vec *lanes, int entry, int which)
 {
@@ -67,15 +68,15 @@ static void cost_gradient(gtmr_controller *c, int stage, const double *reference
     const interval *at = &c->intervals[stage];
     double *gradient = c->cost_gradient[stage];
     double by_acceleration[3];
-    for (int j = 0; j < 3; ++j) {
-        gradient[j] = w[j] * (x[j] - reference[j]);
-        gradient[6 + j] = w[3 + j] * (x[6 + j] - reference[3 + j]);
-        by_acceleration[j] = w[6 + j] * (at->acceleration[j] - reference[6 + j]);
-        gradient[3 + j] = w[9 + j] * (x[3 + j] - reference[9 + j]);
-        gradient[9 + j] = w[12 + j] * (x[9 + j] - reference[12 + j]);
-    }
-    for (int j = BODY; j < N_X; ++j) {
-        gradient[j] = 0.0;
+    memset(gradient, 0, sizeof c->cost_gradient[stage]);
+    for (int j = 0, i = 0; j < N_H; ++j) {
+        const int state = OUTPUT_STATE[j];
+        if (state < 0) {
+            by_acceleration[i] = w[j] * (at->acceleration[i] - reference[j]);
+            ++i;
+        } else {
+            gradient[state] = w[j] * (x[state] - reference[j]);
+        }
     }
     for (int i = 0; i < 3; ++i) {
         for (int j = 3; j < N_X; ++j) {
@@ -95,6 +96,9 @@ static void terminal_gradient(gtmr_controller *c, const double *reference)
 
 void linearise(gtmr_controller *c, double t)
 {
+    double follow[2 + sizeof c->parameters.reference / sizeof(double)];
+    follow[1] = c->parameters.tower_radius_m;
+    memcpy(follow + 2, c->parameters.reference, sizeof c->parameters.reference);
     for (int first = 0; first < STAGES; first += VEC) {
         for (int which = 0; which < VEC; ++which) {
             put(c, smaller(first + which, STAGES - 1), which);
@@ -106,7 +110,8 @@ void linearise(gtmr_controller *c, double t)
     }
     for (int i = 0; i <= STAGES; ++i) {
         double reference[N_H];
-        helix_reference(&c->parameters, t + i * PERIOD_S, reference);
+        follow[0] = t + i * PERIOD_S;
+        model_reference(follow, reference);
         if (i < STAGES) {
             cost_gradient(c, i, reference);
         } else {

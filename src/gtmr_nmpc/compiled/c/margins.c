@@ -34,6 +34,13 @@ static double sign(double a)
     return (double)((a > 0.0) - (a < 0.0));
 }
 
+void clearance_at(const gtmr_parameters *parameters, const double *p, double *constraint)
+{
+    const double at[5] = {p[0], p[1], p[2], parameters->tower_radius_m,
+                          parameters->min_clearance_m};
+    model_clearance(at, constraint);
+}
+
 void clearance_along_iterate(gtmr_controller *c)
 {
     const gtmr_parameters *given = &c->parameters;
@@ -42,10 +49,9 @@ void clearance_along_iterate(gtmr_controller *c)
     }
     for (int i = 0; i <= STAGES; ++i) {
         clearance *y = &c->clearances[i];
-        const double *p = c->x[i];
-        y->rho = sqrt(p[0] * p[0] + p[1] * p[1]);
-        y->gradient[0] = -p[0] / y->rho;
-        y->gradient[1] = -p[1] / y->rho;
+        double constraint[3];
+        clearance_at(given, c->x[i], constraint);
+        memcpy(y->gradient, constraint + 1, sizeof y->gradient);
         y->alpha_p = c->margin_scale * given->eps_s_m;
         y->alpha_g = c->margin_scale * given->gust_m * i * i;
         for (int j = 0; j < N_ZETA; ++j) {
@@ -59,8 +65,7 @@ void clearance_along_iterate(gtmr_controller *c)
             y->by_channel[j] = fabs(Pi_y) * (c->margin_scale * width);
             y->alpha_p += y->by_channel[j];
         }
-        const double distance = y->rho - given->tower_radius_m;
-        y->residual = given->min_clearance_m - distance + y->alpha_p + y->alpha_g;
+        y->residual = constraint[0] + y->alpha_p + y->alpha_g;
     }
 }
 
@@ -77,11 +82,10 @@ static void worst_direction(const gtmr_controller *c, int stage, const double *s
 }
 
 /* d(J_yx direction)/dp: the clearance's gradient turns as the vehicle goes round the tower. */
-static void curvature(const clearance *y, const double *direction, double *of)
+static void curvature(const double *x, const double *direction, double *of)
 {
-    const double along = y->gradient[0] * direction[0] + y->gradient[1] * direction[1];
-    of[0] = -(direction[0] - along * y->gradient[0]) / y->rho;
-    of[1] = -(direction[1] - along * y->gradient[1]) / y->rho;
+    const double at[6] = {x[0], x[1], x[2], direction[0], direction[1], direction[2]};
+    model_curvature(at, of);
 }
 
 static void put(vec *lanes, int which, const double *from, int count)
@@ -140,7 +144,7 @@ static void change_with_signs(gtmr_controller *c, int like, int last, double *ch
         memcpy(turned, next, sizeof turned);
         if (memcmp(y->signs, signs, sizeof y->signs) == 0) {
             worst_direction(c, i, signs, direction);
-            curvature(y, direction, turn);
+            curvature(c->x[i], direction, turn);
             change[i] = y->gradient[0] * turned[0] + y->gradient[1] * turned[1] +
                         turn[0] * c->step[i][0] + turn[1] * c->step[i][1];
         }
@@ -201,5 +205,5 @@ void margin_gradient(gtmr_controller *c, int stage, double d_x[][N_X], double d_
     }
     memset(d_x[stage], 0, sizeof d_x[stage]);
     worst_direction(c, stage, y->signs, direction);
-    curvature(y, direction, d_x[stage]);
+    curvature(c->x[stage], direction, d_x[stage]);
 }

@@ -15,12 +15,9 @@
 #include "vec.h"
 
 enum {
-    BODY = 12,        /* p, eta, v, omega: the states with dynamics of their own */
     N_U = ROTORS,     /* inputs */
     N_X = BODY + N_U, /* states; the last N_U integrate the inputs */
     N_XU = N_X + N_U,
-    N_H = 15, /* outputs that the cost weighs */
-    N_ZETA = 9,
     N_V = STAGES * N_U, /* all inputs of the horizon */
     LD_X = PADDED(N_X),
     LD_XU = PADDED(N_XU),
@@ -49,7 +46,6 @@ typedef struct {
 /* The clearance constraint at a stage. */
 typedef struct {
     double gradient[2]; /* of y with respect to x and y of the position, J_yx */
-    double rho;         /* distance from the tower's axis [m] */
     double residual;    /* y + alpha along the iterate [m] */
     double alpha_p;
     double alpha_g;
@@ -114,13 +110,13 @@ struct gtmr_controller {
     vec lanes_out[MODEL_LANES_OUT];
 };
 
-/* helix.c: the reference of the cost's outputs at time t. */
-void helix_reference(const gtmr_parameters *parameters, double t, double *reference);
-
 /* linearise.c */
 void linearise(gtmr_controller *c, double t);
 
 /* margins.c */
+
+/* y and J_yx at a position. */
+void clearance_at(const gtmr_parameters *parameters, const double *p, double *constraint);
 void clearance_along_iterate(gtmr_controller *c);
 void margin_change_along_step(gtmr_controller *c, double *change);
 void margin_gradient(gtmr_controller *c, int stage, double d_x[][N_X], double d_u[][N_U]);

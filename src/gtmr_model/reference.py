@@ -1,0 +1,105 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What is followed: a path in time, of which position and yaw are formulas, eq. (2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gtmr_model.dynamics import POSITION, RATE, ROTORS, VELOCITY, YAW
+from gtmr_model.tower import Tower
+from gtmr_model.vehicle import Vehicle
+from gtmr_model.yaml_model import YamlModel
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A path at n instants, world frame."""
+
+    position: NDArray[np.float64]
+    """[m], shape (n, 3)."""
+    velocity: NDArray[np.float64]
+    """[m/s], shape (n, 3)."""
+    acceleration: NDArray[np.float64]
+    """[m/s^2], shape (n, 3)."""
+    yaw: NDArray[np.float64]
+    """Grows without wrapping [rad], shape (n,)."""
+    yaw_rate: NDArray[np.float64]
+    """[rad/s], shape (n,)."""
+
+
+class ReferencePath(YamlModel):
+    """A path in time: its own numbers, and two formulas, which hold for numbers and symbols.
+
+    Velocity, acceleration and yaw rate are their derivatives. Every number has a default.
+    """
+
+    def position(self, t: Any, tower: Tower) -> Any:
+        """Position at time t [s], world frame [m], shape (3,); of CasADi's functions."""
+        raise NotImplementedError
+
+    def yaw(self, t: Any, tower: Tower) -> Any:
+        """Yaw at time t [s] [rad]; never wraps."""
+        raise NotImplementedError
+
+    def at(self, time_s: ArrayLike, tower: Tower) -> Reference:
+        """Sample the path.
+
+        Parameters
+        ----------
+        time_s : array_like, shape (n,)
+            Instants [s].
+        tower : Tower
+            What the path goes around.
+        """
+        t = np.atleast_1d(np.asarray(time_s, dtype=float))
+        values = reference_function(type(self))(t[None, :], [tower.radius_m, *self.numbers])
+        position, velocity, acceleration, yaw, yaw_rate = (np.asarray(v).T.copy() for v in values)
+        return Reference(position, velocity, acceleration, yaw[:, 0], yaw_rate[:, 0])
+
+    def facing(self, time_s: float, tower: Tower) -> float:
+        """Yaw at one instant [s] [rad], at the cost of arithmetic alone."""
+        return float(self.yaw(time_s, tower))
+
+    def initial_state(self, tower: Tower, vehicle: Vehicle) -> NDArray[np.float64]:
+        """State on the path at t = 0, level and with hover rotor speeds, shape (12 + N_p,)."""
+        start = self.at(0.0, tower)
+        x = np.zeros(vehicle.n_x)
+        x[POSITION] = start.position[0]
+        x[YAW] = start.yaw[0]
+        x[VELOCITY] = start.velocity[0]
+        x[RATE] = [0.0, 0.0, start.yaw_rate[0]]
+        x[ROTORS] = vehicle.hover_rotor_speeds_hz
+        return x
+
+
+@cache
+def reference_function(kind: type[ReferencePath]) -> ca.Function:
+    """Differentiate a kind of path.
+
+    Returns
+    -------
+    casadi.Function
+        (t, [R, numbers of the path]) -> position, velocity, acceleration, yaw, yaw rate.
+    """
+    path, numbers = kind.symbolic()
+    tower, sizes = Tower.symbolic()
+    t = ca.SX.sym("t")
+    position, yaw = path.position(t, tower), path.yaw(t, tower)
+    velocity = ca.jacobian(position, t)
+    results = [position, velocity, ca.jacobian(velocity, t), yaw, ca.jacobian(yaw, t)]
+    return ca.Function(
+        "reference", [t, ca.vertcat(sizes[0], numbers)], [ca.densify(r) for r in results]
+    )
