@@ -8,11 +8,11 @@
 
 """What a flight was like: residual statistics, bags, reports; the node watches and records."""
 
-from gtmr_monitor.bag.flight import read_flight
+from gtmr_monitor.bag.flight import read_flight, read_flights
 from gtmr_monitor.bag.format import BagError
 from gtmr_monitor.bag.reader import BagMessage, TruncatedBagWarning, read_messages
 from gtmr_monitor.bag.writer import BagWriter, OfferedQos
-from gtmr_monitor.flight import Flight, Margins
+from gtmr_monitor.flight import Flight, MarginHistory
 from gtmr_monitor.residual import residual_statistics, solve_statistics
 
 __all__ = [
@@ -20,10 +20,11 @@ __all__ = [
     "BagMessage",
     "BagWriter",
     "Flight",
-    "Margins",
+    "MarginHistory",
     "OfferedQos",
     "TruncatedBagWarning",
     "read_flight",
+    "read_flights",
     "read_messages",
     "residual_statistics",
     "solve_statistics",

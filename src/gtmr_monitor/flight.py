@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Margins:
+class MarginHistory:
     """What tightened the clearance constraint, eq. (14), at M controller steps."""
 
     t: Array
@@ -87,7 +87,7 @@ class Flight:
     """Times of the rotor speeds [s], shape (r,)."""
     rotor_speed_hz: Array
     """Rotor speeds [Hz], shape (r, N_p)."""
-    margins: Margins
+    margins: MarginHistory
     """Margins of the controller steps; all zero while the mode is nominal."""
     t_solve: Array
     """Times of the controller steps [s], shape (k,)."""
@@ -98,7 +98,7 @@ class Flight:
     deadline_ms: float
     """T_s, within which a step should be done [ms]; NaN if not recorded."""
     tower: Tower
-    """What was flown round."""
+    """What was flown around."""
     helix: Helix
     """What was to be followed."""
     zeta: tuple[float, ...] | None = None
@@ -111,6 +111,10 @@ class Flight:
     """Last known value of every parameter, by fully qualified node name."""
     truncated: bool = False
     """Whether the bag has no end, because its writer was killed."""
+    late: Mapping[str, int] = field(default_factory=dict)
+    """By topic, how many messages came behind newer ones; they are sorted in by their stamps."""
+    notes: tuple[str, ...] = ()
+    """What a user should know, one sentence each."""
     predictions: Predictions | None = None
     """What the controller foresaw; None if that was not looked into."""
     replayed: bool = False

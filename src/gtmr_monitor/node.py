@@ -32,7 +32,7 @@ from gtmr_model import ConfigError, Tower, YamlModel
 from gtmr_monitor.agreement import NAMES, TowerAgreement
 from gtmr_monitor.bag.format import BagError, without_tail
 from gtmr_monitor.bag.writer import OfferedQos
-from gtmr_monitor.recording import Recording
+from gtmr_monitor.recorder import Recorder
 from gtmr_monitor.residual import ResidualWatch
 from gtmr_msgs_py import topics
 from gtmr_msgs_py.messages import clearance, odometry
@@ -150,7 +150,7 @@ class MonitorNode(SuiteNode):
     def __init__(self, managed: bool = False) -> None:
         super().__init__("monitor", managed)
         self._settings = ModelParameters(self, MonitorParameters, self.PRESETS, self.DYNAMIC)
-        self._recording: Recording | None = None
+        self._recording: Recorder | None = None
 
     def allocate(self) -> None:
         """Open the bag, which must be new or empty."""
@@ -202,11 +202,11 @@ class MonitorNode(SuiteNode):
         }
         return {**of_vehicles, PARAMETER_EVENTS.name: PARAMETER_EVENTS}
 
-    def _record_into(self, folder: str) -> Recording | None:
+    def _record_into(self, folder: str) -> Recorder | None:
         if not folder:
             return None
         try:
-            recording = Recording(folder, lambda reason: self.get_logger().error(reason))
+            recording = Recorder(folder, lambda reason: self.get_logger().error(reason))
         except BagError as error:
             raise ConfigError(f"{self.get_name()}: bag = {error}") from None
         for name, topic in self._topics().items():

@@ -31,7 +31,6 @@ from rosbags.highlevel import AnyReader  # noqa: E402
 from support.loop_messages import odometry_message  # noqa: E402
 
 from gtmr_model import Tower  # noqa: E402
-from gtmr_monitor.bag import flight as bag_flight  # noqa: E402
 from gtmr_monitor.bag.flight import read_flight  # noqa: E402
 from gtmr_monitor.bag.reader import TruncatedBagWarning, read_messages  # noqa: E402
 from gtmr_msgs_py import topics  # noqa: E402
@@ -371,10 +370,3 @@ def test_a_parameter_that_cannot_be_used_is_told_in_one_line(tmp_path, parameter
     assert len(errors.strip().splitlines()) == 1
     assert parameter.partition(":=")[0] in errors
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
-
-
-def test_reading_without_ros_uses_the_names_of_the_contract():
-    contract = {topic.name: topic.type_name for topic in topics.TOPICS}
-
-    assert len(bag_flight._TYPES) == 6
-    assert bag_flight._TYPES.items() <= contract.items()

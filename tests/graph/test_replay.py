@@ -19,27 +19,26 @@ pytest.importorskip("rclpy")
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from scipy.spatial.transform import Rotation
 from support.recorded_flight import recorded
+from support.written_bags import ODOMETRY, SAMPLE, STORE, copied, new
 
 from gtmr_model import Helix, Tower, Vehicle, dynamics
 from gtmr_model.dynamics import RATE, ROTORS, VELOCITY
-from gtmr_monitor.bag.format import BagError, typestore
-from gtmr_monitor.bag.reader import read_messages
+from gtmr_monitor.bag.format import BagError
+from gtmr_monitor.bag.vehicles import read_recording
 from gtmr_monitor.bag.writer import BagWriter
 from gtmr_nmpc import Controller
-from gtmr_study.ros.replay import read_recording, replay
+from gtmr_study.ros.replay import replay
 from gtmr_study.ros.replay.rotor_speeds import quasi_static_rotor_speeds
 
-STORE = typestore()
 START = Helix().initial_state(Tower(), Vehicle.paper())
-ODOMETRY = "nav_msgs/msg/Odometry"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 EXACT = 1e-9
 """[Hz/s]"""
 UNIX_NS = 1_750_000_000 * 10**9
 
 
-def new(msgtype, *fields):
-    return STORE.types[msgtype](*fields)
+def leaving_out(topic):
+    return lambda messages: [message for message in messages if message.topic != topic]
 
 
 def header(stamp_ns, frame):
@@ -104,17 +103,6 @@ def foreign(tmp_path):
     return write
 
 
-def copied(bag, folder, wanted):
-    """A bag with some of the topics of another."""
-    messages = [message for message in read_messages(bag) if wanted(message)]
-    with BagWriter(folder) as copy:
-        for topic, msgtype in {m.topic: m.msgtype for m in messages}.items():
-            copy.add_topic(topic, msgtype)
-        for m in messages:
-            copy.write(m.topic, m.data, m.log_time_ns, m.publish_time_ns)
-    return folder
-
-
 @pytest.mark.parametrize(
     ("name", "options"),
     [
@@ -139,10 +127,11 @@ def test_changes_in_flight_are_made_at_their_steps():
 
     assert [mode for _, mode in replayed.modes] == ["nominal", "robust"]
     assert 0.5 < replayed.modes[1][0] < 1.5
-    assert [c.values for c in replayed.recording.changes][-1] == {"weights.yaw": 30.0}
-    for step, margins in zip(replayed.steps, replayed.recording.margins, strict=True):
-        assert step.alpha_g == pytest.approx(margins.alpha_g, abs=1e-12)
-        assert step.by_channel == pytest.approx(margins.by_channel, abs=1e-12)
+    assert replayed.recording.controller_changes[-1].values == {"weights.yaw": 30.0}
+    recorded_margins = replayed.flown.margins
+    assert replayed.margins.t == pytest.approx(recorded_margins.t, abs=1e-9)
+    assert replayed.margins.alpha_g == pytest.approx(recorded_margins.alpha_g, abs=1e-12)
+    assert replayed.margins.by_channel == pytest.approx(recorded_margins.by_channel, abs=1e-12)
 
 
 def test_the_other_controller_answers_the_same_odometry(gtmr, tmp_path):
@@ -166,7 +155,7 @@ def test_the_other_controller_answers_the_same_odometry(gtmr, tmp_path):
 
 
 def test_without_rotor_states_the_commands_tell_the_speeds(tmp_path):
-    bag = copied(recorded("lockstep"), tmp_path / "bag", lambda m: m.topic != "/rotor_states")
+    bag = copied(recorded("lockstep"), tmp_path / "bag", leaving_out("/rotor_states"))
     result = replay(read_recording(bag)).result()
 
     assert result["rotor_speeds"] == {"from_command": result["samples"]}
@@ -174,8 +163,25 @@ def test_without_rotor_states_the_commands_tell_the_speeds(tmp_path):
     assert any("recorded command" in note for note in result["notes"])
 
 
+def test_an_odometry_that_comes_late_changes_no_step_and_is_told(gtmr, tmp_path):
+    def swapped(messages):
+        first, second = [k for k, m in enumerate(messages) if m.topic == "/odom"][200:202]
+        messages[first], messages[second] = messages[second], messages[first]
+        return messages
+
+    out = tmp_path / "replay.json"
+    run = gtmr("replay", copied(SAMPLE, tmp_path / "bag", swapped), "--json", out)
+
+    result = json.loads(out.read_text())
+    assert result["steps"] == replay(read_recording(SAMPLE)).result()["steps"] == 401
+    assert result["max_abs_command_difference"] <= 1e-6
+    assert result["late_messages"] == {"odom": 1}
+    assert "1 of 401 odom messages came late" in " ".join(result["notes"])
+    assert "came late" in run.stdout
+
+
 def test_without_commands_nothing_is_compared_and_the_commands_are_the_same(tmp_path):
-    bag = copied(recorded("lockstep"), tmp_path / "bag", lambda m: m.topic != "/rotor_command")
+    bag = copied(recorded("lockstep"), tmp_path / "bag", leaving_out("/rotor_command"))
     with_commands = replay(read_recording(recorded("lockstep")))
     without = replay(read_recording(bag))
 
@@ -243,7 +249,9 @@ def test_the_problem_is_that_of_the_recorded_parameters(monkeypatch):
 
     monkeypatch.setattr("gtmr_study.ros.replay.run.Controller", Spy)
     recording = read_recording(recorded("lockstep"))
-    recording.changes[0].values.update({"tower.min_clearance_m": 0.21, "weights.yaw": 40.0})
+    recording.controller_changes[0].values.update(
+        {"tower.min_clearance_m": 0.21, "weights.yaw": 40.0}
+    )
     replay(recording)
 
     assert (built[0].tower.min_clearance_m, built[0].weights.yaw) == (0.21, 40.0)

@@ -15,7 +15,6 @@ import sys
 import warnings
 from pathlib import Path
 
-import numpy as np
 import pytest
 import yaml
 from hypothesis import HealthCheck, given, settings
@@ -23,50 +22,17 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
+from support.written_bags import FLOAT64, ODOMETRY, cdr, new, odometry
 
-from gtmr_monitor.bag.format import BagError, typestore
+from gtmr_monitor.bag.format import BagError
 from gtmr_monitor.bag.reader import TruncatedBagWarning, bag_files, read_messages
 from gtmr_monitor.bag.writer import BagWriter, OfferedQos
-
-STORE = typestore()
-ODOMETRY = "nav_msgs/msg/Odometry"
-FLOAT64 = "std_msgs/msg/Float64"
-
-
-def new(msgtype, *fields):
-    return STORE.types[msgtype](*fields)
-
-
-def cdr(message):
-    return bytes(STORE.serialize_cdr(message, message.__msgtype__))
-
-
-def odometry(k):
-    """Odometry that tells its number by its height and its time."""
-    stamp = new("builtin_interfaces/msg/Time", k // 40, k % 40 * 25_000_000)
-    zero = new("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
-    point = new("geometry_msgs/msg/Point", 1.35, 0.0, float(k))
-    pose = new(
-        "geometry_msgs/msg/Pose", point, new("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0)
-    )
-    return new(
-        ODOMETRY,
-        new("std_msgs/msg/Header", stamp, "map"),
-        "base_link",
-        new("geometry_msgs/msg/PoseWithCovariance", pose, np.zeros(36)),
-        new(
-            "geometry_msgs/msg/TwistWithCovariance",
-            new("geometry_msgs/msg/Twist", zero, zero),
-            np.zeros(36),
-        ),
-    )
-
 
 WRITTEN = [
     item
     for k in range(100)
     for item in (
-        ("/odom", cdr(odometry(k)), 10**9 + k * 25_000_000),
+        ("/odom", cdr(odometry(k * 25_000_000, (1.35, 0.0, k))), 10**9 + k * 25_000_000),
         ("/clearance_residual", cdr(new(FLOAT64, -0.1 - k)), 10**9 + k * 25_000_000 + 1),
     )
 ]

@@ -19,10 +19,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from support.written_bags import SAMPLE
 
 from gtmr_model import Helix, Tower
 from gtmr_monitor.bag.format import BagError
-from gtmr_monitor.flight import Flight, Margins
+from gtmr_monitor.flight import Flight, MarginHistory
 from gtmr_monitor.report import look
 from gtmr_monitor.report.browser import CHARTS
 from gtmr_monitor.report.page import CAPTIONS, write_report
@@ -50,7 +51,7 @@ def flight(mode, clearance_m, **changes):
         "recorded_residual": 1.2 - radius,
         "t_rotors": T,
         "rotor_speed_hz": 60.0 + np.outer(np.sin(T), np.arange(6)),
-        "margins": Margins(
+        "margins": MarginHistory(
             T, np.full((T.size, STAGES, 9), tightening), stages, stages, 0.0 * stages
         ),
         "t_solve": T,
@@ -188,7 +189,7 @@ def test_flights_of_one_mode_are_told_apart():
 
 def test_a_bag_with_odometry_only_makes_a_report_too(tmp_path):
     none = np.zeros((0, 0))
-    nothing = Margins(np.zeros(0), np.zeros((0, 0, 9)), none, none, none)
+    nothing = MarginHistory(np.zeros(0), np.zeros((0, 0, 9)), none, none, none)
     bare = replace(
         NOMINAL, margins=nothing, t_solve=np.zeros(0), solve_ms=np.zeros(0), modes=(),
         t_rotors=np.zeros(0), rotor_speed_hz=none, deadline_ms=float("nan"), zeta=None,
@@ -225,15 +226,18 @@ def test_without_flights_or_place_it_says_so(tmp_path):
 
 WITHOUT_ROS = """
 import sys
-for package in ("rclpy", "std_msgs", "nav_msgs", "rcl_interfaces", "gtmr_msgs_py"):
+for package in ("rclpy", "std_msgs", "nav_msgs", "rcl_interfaces", "builtin_interfaces"):
     sys.modules[package] = None
-import gtmr_monitor, gtmr_monitor.report.page
-from gtmr_monitor import BagWriter, read_messages
+import gtmr_monitor.report.page
+from gtmr_monitor import BagWriter, read_flight, read_messages
 with BagWriter(sys.argv[1]) as bag:
     bag.add_topic("/odom", "nav_msgs/msg/Odometry")
 assert list(read_messages(sys.argv[1])) == []
+assert read_flight(sys.argv[2]).mode == "robust"
 """
 
 
 def test_bags_and_reports_need_no_ros(tmp_path):
-    subprocess.run([sys.executable, "-c", WITHOUT_ROS, tmp_path / "bag"], check=True, timeout=60)
+    subprocess.run(
+        [sys.executable, "-c", WITHOUT_ROS, tmp_path / "bag", SAMPLE], check=True, timeout=60
+    )

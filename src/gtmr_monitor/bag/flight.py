@@ -6,239 +6,151 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""From the messages of a bag to a flight; needs no ROS."""
+"""Reading the flights that a bag recorded, for reports and notebooks."""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gtmr_model import ConfigError, Helix, Tower, YamlModel
+from gtmr_model import ConfigError, Helix, Tower
 from gtmr_model.uncertainty import N_ZETA
 from gtmr_monitor.bag.format import BagError
-from gtmr_monitor.bag.reader import is_whole, read_messages
-from gtmr_monitor.flight import Flight, Margins
+from gtmr_monitor.bag.recording import Change, Recorded, Recording
+from gtmr_monitor.bag.vehicles import read_recordings
+from gtmr_monitor.flight import Flight, MarginHistory
+from gtmr_msgs_py.contract import RAD_PER_TURN, TIGHTENING_COLUMNS
+from gtmr_msgs_py.wire.stamps import NANOSECONDS
 
 Array = NDArray[np.float64]
-Parameters = dict[str, dict[str, Any]]
-TimedMessage = tuple[int, Any]
-T = TypeVar("T")
-
-# The names of gtmr_msgs_py.topics, which cannot be imported without ROS.
-ODOM = "odom"
-ROTOR_STATES = "rotor_states"
-ROTOR_COMMAND = "rotor_command"
-TIGHTENING = "tightening"
-SOLVE_TIME = "solve_time"
-CLEARANCE_RESIDUAL = "clearance_residual"
-PARAMETER_EVENTS = "/parameter_events"
-_TYPES = {
-    ODOM: "nav_msgs/msg/Odometry",
-    ROTOR_STATES: "sensor_msgs/msg/JointState",
-    ROTOR_COMMAND: "trajectory_msgs/msg/JointTrajectory",
-    TIGHTENING: "std_msgs/msg/Float64MultiArray",
-    SOLVE_TIME: "std_msgs/msg/Float64",
-    CLEARANCE_RESIDUAL: "std_msgs/msg/Float64",
-}
-_MARGIN_COLUMNS = N_ZETA + 3
-# Indexed by the type of a rcl_interfaces/msg/ParameterValue.
-_VALUE_FIELDS = (
-    None, "bool_value", "integer_value", "double_value", "string_value", "byte_array_value",
-    "bool_array_value", "integer_array_value", "double_array_value", "string_array_value",
-)  # fmt: skip
 
 
-def read_flight(
-    path: str | Path,
-    namespace: str | None = None,
-    renamed: Mapping[str, str] | None = None,
-) -> Flight:
-    """Read the flight that a bag recorded.
+def read_flights(path: str | Path, vehicle: str | None = None) -> list[Flight]:
+    """Read the flights of all vehicles in a bag, or of one of them.
 
-    Where the simulation was reset, the flight is what came after the last reset. A bag without an
+    Where the simulation was reset, a flight is what came after the last reset. A bag without an
     end is read up to its last whole chunk, with a ``TruncatedBagWarning``.
 
     Parameters
     ----------
     path : str or pathlib.Path
         A rosbag2 folder, with or without its metadata.yaml, or an MCAP file.
-    namespace : str, optional
-        Of the vehicle's nodes, for example ``/hex1``; needed if there are several in the bag.
-    renamed : mapping, optional
-        Topics of a bag from elsewhere, and what they are called here.
-
-    Returns
-    -------
-    Flight
+    vehicle : str, optional
+        Namespace of its nodes, for example ``hex1`` or ``/hex1``; ``/`` for none.
 
     Raises
     ------
     BagError
-        If the path is not a bag, or holds no odometry or that of several vehicles.
+        If the path is not a bag, or holds no odometry on a topic ``odom``, or not that vehicle's.
     """
-    path = Path(path)
-    by_topic: dict[str, list[TimedMessage]] = defaultdict(list)
-    for message in read_messages(path):
-        topic = _renamed(message.topic, renamed or {})
-        if _is_wanted(topic, message.msgtype):
-            by_topic[topic].append((message.log_time_ns, message.decode()))
-    namespace = _namespace(path, by_topic) if namespace is None else namespace.rstrip("/")
-    odometry = _one_flight(by_topic[f"{namespace}/{ODOM}"])
-    if not odometry:
-        raise BagError(f"{path}: holds no odometry on {namespace}/{ODOM}")
-    log_ns = np.array([log for log, _ in odometry])
-    stamps_ns = np.array([_stamp_ns(m) for _, m in odometry])
+    return [flight_of(recording) for recording in read_recordings(path, vehicle)]
 
-    def recorded(name: str) -> list[TimedMessage]:
-        return [(t, m) for t, m in by_topic[f"{namespace}/{name}"] if t >= log_ns[0]]
 
-    def flight_time(stamps: ArrayLike) -> Array:
-        since_start: Array = (np.asarray(stamps, dtype=np.int64) - stamps_ns[0]) * 1e-9
-        return since_start
+def read_flight(path: str | Path, vehicle: str | None = None) -> Flight:
+    """Read a flight as `read_flights` does, of a bag with one vehicle or of the one named.
 
-    def latest_stamp(logged_ns: Sequence[int]) -> NDArray[np.int64]:
-        index = np.searchsorted(log_ns, np.array(logged_ns, dtype=np.int64), side="right") - 1
-        return stamps_ns[np.clip(index, 0, None)]
+    Raises
+    ------
+    BagError
+        As `read_flights`, and if there are several vehicles and none is named.
+    """
+    recordings = read_recordings(path, vehicle)
+    if len(recordings) > 1:
+        names = ", ".join(each.odom.rpartition("/")[0] or "/" for each in recordings)
+        raise BagError(f"{path}: holds several vehicles, name one: {names}")
+    return flight_of(recordings[0])
 
-    commands = strictly_later([_stamp_ns(m) for _, m in recorded(ROTOR_COMMAND)])
 
-    def step_times(messages: list[TimedMessage]) -> Array:
+def flight_of(recording: Recording) -> Flight:
+    """Make arrays of a recording, in the units of a flight.
+
+    Raises
+    ------
+    BagError
+        If recorded parameters make no tower or helix.
+    """
+    path, odometry = recording.path, recording.odometry
+    by_arrival = sorted(odometry, key=lambda item: item.received_ns)
+    received_ns = np.array([item.received_ns for item in by_arrival])
+    newest_ns = np.maximum.accumulate(np.array([item.stamp_ns for item in by_arrival]))
+
+    def flight_time(stamps_ns: ArrayLike) -> Array:
+        since_start_ns = np.asarray(stamps_ns, dtype=np.int64) - recording.start_ns
+        return np.asarray(since_start_ns / NANOSECONDS, dtype=float)
+
+    def time_of(items: Sequence[Recorded | Change]) -> Array:
+        """Time of the newest odometry when something was received."""
+        at_ns = np.array([item.received_ns for item in items], dtype=np.int64)
+        index = np.searchsorted(received_ns, at_ns, side="right") - 1
+        return flight_time(newest_ns[np.clip(index, 0, None)])
+
+    def step_times(items: list[Recorded]) -> Array:
         """Stamps of the commands, as one step sends one of each; failing that, of the odometry."""
-        if len(commands) == len(messages):
-            return flight_time(commands)
-        return flight_time(latest_stamp([log for log, _ in messages]))
+        if len(recording.command_order) == len(items):
+            return flight_time(recording.command_order)
+        return time_of(items)
 
-    parameters, modes = _parameters(by_topic[PARAMETER_EVENTS], namespace)
-    sim, nmpc = (parameters.get(f"{namespace}/{node}", {}) for node in ("sim", "nmpc"))
-    monitor = parameters.get(f"{namespace}/monitor", {})
-    poses = np.array([_pose(m) for _, m in odometry])
-    rotors = strictly_later(recorded(ROTOR_STATES), key=lambda item: _stamp_ns(item[1]))
-    solve = recorded(SOLVE_TIME)
-    tightening = recorded(TIGHTENING)
-    mode_times = flight_time(latest_stamp([log for log, _ in modes])).tolist()
+    parameters: dict[str, dict[str, Any]] = defaultdict(dict)
+    for change in recording.changes:
+        parameters[change.node] |= change.values
+    sim, nmpc, monitor = (
+        parameters.get(f"{recording.namespace}/{node}", {}) for node in ("sim", "nmpc", "monitor")
+    )
+    switches = [change for change in recording.controller_changes if change.values.get("mode")]
+    rotors = recording.rotor_states
+    tower = _model(path, Tower, "tower", (monitor, sim, nmpc))
+    notes = list(recording.notes)
+    if recording.before_reset:
+        closest_m = tower.clearance(_positions(recording.before_reset)).min()
+        notes.append(
+            f"the simulation began again: of the {len(recording.before_reset)} odom messages "
+            f"before that, which are left out, the least clearance is {closest_m:.3f} m"
+        )
+    margins = _margins(step_times(recording.tightening), recording.tightening, notes)
     return Flight(
-        name=path.resolve().stem,
+        name=recording.name,
         source=path,
-        t=flight_time(stamps_ns),
-        p=poses[:, :3],
-        eta=_roll_pitch_yaw(poses[:, 3:]),
-        recorded_residual=np.array([m.data for _, m in recorded(CLEARANCE_RESIDUAL)]),
-        t_rotors=flight_time([_stamp_ns(m) for _, m in rotors]),
-        rotor_speed_hz=_rows([m.velocity for _, m in rotors]) / (2.0 * math.pi),
-        margins=_margins(path, step_times(tightening), tightening),
-        t_solve=step_times(solve),
-        solve_ms=np.array([1e3 * m.data for _, m in solve]),
-        modes=_since_start([(t, mode) for t, (_, mode) in zip(mode_times, modes, strict=True)]),
+        t=flight_time([item.stamp_ns for item in odometry]),
+        p=_positions(odometry),
+        eta=_roll_pitch_yaw(odometry),
+        recorded_residual=np.array([item.message.data for item in recording.residuals]),
+        t_rotors=flight_time([item.stamp_ns for item in rotors]),
+        rotor_speed_hz=_rows([item.message.velocity for item in rotors]) / RAD_PER_TURN,
+        margins=margins,
+        t_solve=step_times(recording.solve_times),
+        solve_ms=np.array([1e3 * item.message.data for item in recording.solve_times]),
+        modes=_modes(time_of(switches).tolist(), [change.values["mode"] for change in switches]),
         deadline_ms=1e3 * float(nmpc.get("sampling_time_s", math.nan)),
-        tower=_model(path, Tower, "tower", (monitor, sim, nmpc)),
+        tower=tower,
         helix=_model(path, Helix, "helix", (nmpc, sim)),
         zeta=tuple(sim["zeta"]) if "zeta" in sim else None,
         gust=sim.get("gust.kind"),
         seed=sim.get("seed"),
-        parameters=parameters,
-        truncated=not is_whole(path),
+        parameters=dict(parameters),
+        truncated=recording.truncated,
+        late=recording.late,
+        notes=tuple(notes),
     )
 
 
-def _renamed(topic: str, renamed: Mapping[str, str]) -> str:
-    """Call a topic as it is called here; one whose name another takes over drops out."""
-    return renamed.get(topic, "" if topic in renamed.values() else topic)
+def _positions(odometry: list[Recorded]) -> Array:
+    """World ENU [m], shape (n, 3)."""
+    points = [item.message.pose.pose.position for item in odometry]
+    return np.array([(p.x, p.y, p.z) for p in points])
 
 
-def _is_wanted(topic: str, msgtype: str) -> bool:
-    name = topic.rpartition("/")[2]
-    return topic == PARAMETER_EVENTS or _TYPES.get(name) == msgtype
-
-
-def _namespace(path: Path, topics: Iterable[str]) -> str:
-    found = sorted(t.removesuffix(f"/{ODOM}") for t in topics if t.endswith(f"/{ODOM}"))
-    if not found:
-        raise BagError(f"{path}: not a flight: holds no odometry on a topic named {ODOM}")
-    if len(found) > 1:
-        raise BagError(f"{path}: holds several vehicles, name one: {', '.join(found)}")
-    return found[0]
-
-
-def _one_flight(odometry: list[TimedMessage]) -> list[TimedMessage]:
-    """Usable odometry after the last reset, each stamp once: waiting nodes repeat themselves."""
-    resets = [
-        k
-        for k, ((_, before), (_, after)) in enumerate(pairwise(odometry), start=1)
-        if _stamp_ns(after) < _stamp_ns(before)
-    ]
-    flown = odometry[resets[-1] if resets else 0 :]
-    finite = [item for item in flown if math.isfinite(sum(_pose(item[1])))]
-    return strictly_later(finite, key=lambda item: _stamp_ns(item[1]))
-
-
-def strictly_later(items: Iterable[T], key: Callable[[T], Any] = lambda item: item) -> list[T]:
-    """Leave out what is not later than all that came before.
-
-    Parameters
-    ----------
-    items : iterable
-        In the order of their arrival.
-    key : callable
-        Gives the time of an item; the item itself if left out.
-
-    Returns
-    -------
-    list
-    """
-    kept: list[T] = []
-    for item in items:
-        if not kept or key(item) > key(kept[-1]):
-            kept.append(item)
-    return kept
-
-
-def _parameters(
-    events: list[TimedMessage], namespace: str
-) -> tuple[Parameters, list[tuple[int, str]]]:
-    """Last value of every parameter, and every change of the controller's mode."""
-    parameters: Parameters = defaultdict(dict)
-    modes: list[tuple[int, str]] = []
-    for log_ns, event in events:
-        node = parameters[event.node]
-        for parameter in (*event.new_parameters, *event.changed_parameters):
-            node[parameter.name] = parameter_value(parameter.value)
-        for parameter in event.deleted_parameters:
-            node.pop(parameter.name, None)
-        mode = node.get("mode")
-        if event.node == f"{namespace}/nmpc" and mode and (not modes or modes[-1][1] != mode):
-            modes.append((log_ns, mode))
-    return dict(parameters), modes
-
-
-def parameter_value(value: Any) -> Any:
-    """Read a ``rcl_interfaces/msg/ParameterValue`` from a bag.
-
-    Parameters
-    ----------
-    value : Any
-        The message.
-
-    Returns
-    -------
-    bool, int, float, str, list or None
-    """
-    name = _VALUE_FIELDS[value.type] if value.type < len(_VALUE_FIELDS) else None
-    plain = getattr(value, name) if name else None
-    return plain.tolist() if isinstance(plain, np.ndarray) else plain
-
-
-def _since_start(modes: list[tuple[float, str]]) -> tuple[tuple[float, str], ...]:
+def _modes(times: list[float], modes: list[str]) -> tuple[tuple[float, str], ...]:
     """Modes flown; the first holds from the start, as its parameters may be fetched late."""
-    begun = [k for k, (t, _) in enumerate(modes) if t <= 0.0]
-    flown = modes[begun[-1] if begun else 0 :]
-    return tuple((t if k else 0.0, mode) for k, (t, mode) in enumerate(flown))
+    changed = [k for k, mode in enumerate(modes) if not k or mode != modes[k - 1]]
+    begun = [k for k in changed if times[k] <= 0.0]
+    first = begun[-1] if begun else 0
+    return tuple((times[k] if k > first else 0.0, modes[k]) for k in changed if k >= first)
 
 
 def _model(path: Path, kind: type[Any], prefix: str, candidates: Iterable[dict[str, Any]]) -> Any:
@@ -251,30 +163,24 @@ def _model(path: Path, kind: type[Any], prefix: str, candidates: Iterable[dict[s
         }
         if fields:
             try:
-                model: YamlModel = kind.parse(fields, str(path))
+                return kind.parse(fields, str(path))
             except ConfigError as error:
                 raise BagError(str(error)) from None
-            return model
     return kind()
 
 
-def _margins(path: Path, t: Array, messages: list[TimedMessage]) -> Margins:
-    rows = [np.asarray(m.data) for _, m in messages]
-    if any(row.size % _MARGIN_COLUMNS or row.size != rows[0].size for row in rows):
-        raise BagError(f"{path}: {TIGHTENING} does not hold {_MARGIN_COLUMNS} numbers a stage")
-    stages = rows[0].size // _MARGIN_COLUMNS if rows else 0
-    table = np.array(rows).reshape(len(rows), stages, _MARGIN_COLUMNS)
-    return Margins(t, table[:, :, :N_ZETA], *np.moveaxis(table[:, :, N_ZETA:], 2, 0))
-
-
-def _stamp_ns(message: Any) -> int:
-    stamp = message.header.stamp
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
-
-def _pose(odometry: Any) -> tuple[float, ...]:
-    p, q = odometry.pose.pose.position, odometry.pose.pose.orientation
-    return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
+def _margins(t: Array, items: list[Recorded], notes: list[str]) -> MarginHistory:
+    """Margins of the messages that are as long as the first, which tells the number of stages."""
+    rows = [np.asarray(item.message.data) for item in items]
+    columns = len(TIGHTENING_COLUMNS)
+    size = rows[0].size if rows and rows[0].size % columns == 0 else 0
+    kept = [k for k, row in enumerate(rows) if row.size == size > 0]
+    if len(kept) < len(rows):
+        notes.append(
+            f"{len(rows) - len(kept)} tightening messages are of another layout: left out"
+        )
+    table = np.array([rows[k] for k in kept]).reshape(len(kept), size // columns, columns)
+    return MarginHistory(t[kept], table[:, :, :N_ZETA], *np.moveaxis(table[:, :, N_ZETA:], 2, 0))
 
 
 def _rows(vectors: list[Array]) -> Array:
@@ -282,9 +188,10 @@ def _rows(vectors: list[Array]) -> Array:
     return np.array([v for v in vectors if v.size == vectors[0].size] or np.zeros((0, 0)))
 
 
-def _roll_pitch_yaw(quaternions: Array) -> Array:
-    """Roll, pitch, yaw [rad] of quaternions in rows x, y, z, w; yaw goes on over +-pi."""
-    x, y, z, w = quaternions.T
+def _roll_pitch_yaw(odometry: list[Recorded]) -> Array:
+    """Roll, pitch, yaw [rad], shape (n, 3); yaw goes on over +-pi."""
+    turns = [item.message.pose.pose.orientation for item in odometry]
+    x, y, z, w = np.array([(q.x, q.y, q.z, q.w) for q in turns]).T
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2.0 * (w * y - x * z), -1.0, 1.0))
     yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

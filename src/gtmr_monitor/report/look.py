@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from gtmr_monitor.flight import Flight, Margins
+from gtmr_monitor.flight import Flight, MarginHistory
 
 INK = "#1a1a1a"
 """Text and axes."""
@@ -117,12 +117,12 @@ def lines(flights: Sequence[Flight]) -> list[Line]:
     return result
 
 
-def margin_parts(margins: Margins) -> dict[str, NDArray[np.float64]]:
+def margin_parts(margins: MarginHistory) -> dict[str, NDArray[np.float64]]:
     """Split the total margin into its parts, in the order in which they are stacked.
 
     Parameters
     ----------
-    margins : Margins
+    margins : MarginHistory
         Of M controller steps.
 
     Returns

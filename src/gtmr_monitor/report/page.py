@@ -29,7 +29,7 @@ from gtmr_monitor.report.paper import write_figures
 CAPTIONS = {
     "trajectory": (
         "Trajectory",
-        "The flights round the tower, with the helix that was to be followed and the shell of "
+        "The flights around the tower, with the helix that was to be followed and the shell of "
         "least admissible clearance. Drag to turn, scroll to zoom.",
     ),
     "residual": (
@@ -107,6 +107,11 @@ def _page(flown: Flown) -> str:
         "killed; what it had written is shown.</p>"
         for flight, line in flown
         if flight.truncated
+    )
+    warnings += "".join(
+        f'<p class="warning">{escape(line.label)}: {escape(note)}.</p>'
+        for flight, line in flown
+        for note in flight.notes
     )
     warnings += "".join(
         f"<p>{escape(line.label)}: this controller did not fly. It was fed the recorded states "

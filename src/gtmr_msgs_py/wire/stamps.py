@@ -10,7 +10,10 @@
 
 from __future__ import annotations
 
-from builtin_interfaces.msg import Duration, Time
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from builtin_interfaces.msg import Duration, Time
 
 NANOSECONDS = 1_000_000_000
 """In a second."""
@@ -60,6 +63,9 @@ def encode(time_ns: int) -> Time:
     -------
     builtin_interfaces.msg.Time
     """
+    # Here alone is ROS needed: what reads stamps works without.
+    from builtin_interfaces.msg import Time
+
     sec, nanosec = divmod(int(time_ns), NANOSECONDS)
     return Time(sec=sec, nanosec=nanosec)
 

@@ -245,6 +245,10 @@ def report_command(
     out: Annotated[
         Path, typer.Option(metavar="FILE.html", help="The report; figures go beside it.")
     ] = Path("report.html"),
+    vehicle: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Of bags with several vehicles, only this one."),
+    ] = None,
 ) -> None:
     """Make one self-contained HTML report, and PNG figures, of bags or of campaigns."""
     from gtmr_study.campaign.trials_file import is_campaign
@@ -255,11 +259,14 @@ def report_command(
 
         written = write_campaign_report(paths, out)
     else:
-        from gtmr_monitor.bag.flight import read_flight
+        from gtmr_monitor.bag.flight import read_flights
         from gtmr_monitor.report.page import write_report
 
         with truncation_told():
-            flights = [read_flight(path) for path in paths]
+            flights = [flight for path in paths for flight in read_flights(path, vehicle)]
+        for flight in flights:
+            for note in flight.notes:
+                complain(f"warning: {flight.name}: {note}")
         written = write_report(flights, out)
     console.print("\n".join(str(path) for path in written))
 

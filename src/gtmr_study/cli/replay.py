@@ -25,12 +25,13 @@ from rich.text import Text
 
 from gtmr_model import Vehicle
 from gtmr_monitor.bag.reader import TruncatedBagWarning
+from gtmr_monitor.bag.vehicles import read_recording
 from gtmr_nmpc import MODES, ControllerConfig
 from gtmr_study.cli.terminal import complain, console, needs_ros, progress, require_choice
 from gtmr_study.result_files import InputError, require_folder_of, require_new_file, write_json
 
 if TYPE_CHECKING:
-    from gtmr_study.ros.replay import Recording
+    from gtmr_monitor.bag.recording import Recording
 
 RATES = (0.01, 100.0)
 """Least and greatest rate of a playback."""
@@ -83,7 +84,7 @@ def replay_command(
     require_new_file("--report", report)
     require_folder_of("--json", json)
     try:
-        from gtmr_study.ros.replay import read_recording, replay
+        from gtmr_study.ros.replay import replay
     except ModuleNotFoundError as error:
         raise needs_ros("a replay", error) from None
 
@@ -102,10 +103,7 @@ def replay_command(
     if report is not None:
         from gtmr_monitor.report.page import write_report
 
-        with warnings.catch_warnings():
-            # Told already.
-            warnings.simplefilter("ignore", TruncatedBagWarning)
-            write_report(replayed.flights(), report)
+        write_report(replayed.flights(), report)
     write_json(json, result)
     _print_result(result)
     if report is not None:

@@ -8,8 +8,7 @@
 
 """Feeds a recorded flight to the controller again, and compares what it commands."""
 
-from gtmr_study.ros.replay.recording import Recording, read_recording
 from gtmr_study.ros.replay.result import Replay, Step
 from gtmr_study.ros.replay.run import replay
 
-__all__ = ["Recording", "Replay", "Step", "read_recording", "replay"]
+__all__ = ["Replay", "Step", "replay"]

@@ -14,9 +14,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from gtmr_model import ConfigError, YamlModel
+from gtmr_monitor.bag.recording import Recording
 from gtmr_msgs_py.wire import stamps
 from gtmr_nmpc import MODES, ControllerConfig, Mode
-from gtmr_study.ros.replay.recording import Recording
 
 
 class RecordedParameters:
@@ -47,8 +47,11 @@ class RecordedParameters:
         self.source = f"{recording.path}: parameters of {recording.node}"
         """What to name in errors."""
         self._mode, self._config = mode, config
-        self._values = recording.first_parameters
-        self._changes = list(recording.changes)
+        self._changes = recording.controller_changes
+        self._values: dict[str, Any] = {}
+        for change in self._changes:
+            # What is first heard of late was so from the start.
+            self._values = change.values | self._values
         self.notes = []
         """What a user should know, one sentence each."""
         if config is None and not self._values:

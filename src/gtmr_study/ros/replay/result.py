@@ -13,18 +13,20 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gtmr_monitor.bag.flight import read_flight
-from gtmr_monitor.flight import Flight, Margins, Predictions
+from gtmr_monitor.bag.flight import flight_of
+from gtmr_monitor.bag.recording import Recording
+from gtmr_monitor.flight import Flight, MarginHistory, Predictions
 from gtmr_monitor.residual import solve_statistics
+from gtmr_msgs_py.messages import path as plan_path
 from gtmr_msgs_py.wire import stamps
 from gtmr_nmpc import ControllerConfig, Mode
-from gtmr_study.ros.replay.recording import Recording
 
 Array = NDArray[np.float64]
 
@@ -86,20 +88,41 @@ class Replay:
         """The steps that were compared with a recorded command."""
         return [step for step in self.steps if step.difference is not None]
 
+    @cached_property
+    def margins(self) -> MarginHistory:
+        """The margins of the replayed controller."""
+        steps = self.steps
+        return MarginHistory(
+            self._times(),
+            np.array([step.by_channel for step in steps]),
+            np.array([np.full(step.alpha_g.size, step.eps_s) for step in steps]),
+            np.array([step.alpha_g for step in steps]),
+            np.array([step.slack for step in steps]),
+        )
+
+    @cached_property
+    def flown(self) -> Flight:
+        """The recorded flight, with what its controller foresaw.
+
+        Raises
+        ------
+        BagError
+            If recorded parameters make no tower or helix.
+        """
+        flown = replace(flight_of(self.recording), predictions=self._recorded_predictions())
+        if self.recording.changes:
+            return flown
+        return replace(flown, tower=self.config.tower, helix=self.config.helix)
+
     def result(self) -> dict[str, Any]:
         """Sum up as plain data.
 
-        Returns
-        -------
-        dict
-            ``samples`` commands were compared; ``max_abs_command_difference`` is over all rotor
-            accelerations of all stages of their plans, in ``unit``; None without samples.
-            ``largest_foreseen_residual_m`` is s at the end of the plans.
+        ``samples`` commands were compared; ``max_abs_command_difference`` is over all rotor
+        accelerations of all stages of their plans, in ``unit``; None without samples.
+        ``largest_foreseen_residual_m`` is s at the end of the plans.
         """
         compared = self.compared
         worst = max(compared, key=lambda step: step.difference or 0.0, default=None)
-        solve_ms = [1e3 * step.solve_s for step in self.steps]
-        recorded = self._recorded_predictions()
         return {
             "bag": str(self.recording.path),
             "mode": " → ".join(mode for _, mode in self.modes),
@@ -112,65 +135,40 @@ class Replay:
             ),
             "steps": len(self.steps),
             "recorded": {
-                "largest_margin_m": _largest(
-                    [margins.alpha_p + margins.alpha_g for margins in self.recording.margins]
-                ),
-                "largest_foreseen_residual_m": _largest([recorded.residual]),
+                "largest_margin_m": _largest(self.flown.margins.total),
+                "largest_foreseen_residual_m": _largest(self._recorded_predictions().residual),
             },
             "replayed": {
-                "largest_margin_m": _largest(
-                    [
-                        step.by_channel.sum(axis=1) + step.eps_s + step.alpha_g
-                        for step in self.steps
-                    ]
-                ),
-                "largest_foreseen_residual_m": _largest([self._predictions().residual]),
-                "largest_slack_m": _largest([step.slack for step in self.steps]),
+                "largest_margin_m": _largest(self.margins.total),
+                "largest_foreseen_residual_m": _largest(self._predictions().residual),
+                "largest_slack_m": _largest(self.margins.slack),
                 "failed_steps": sum(step.failed for step in self.steps),
-                "solve_ms": solve_statistics(solve_ms),
+                "solve_ms": solve_statistics([1e3 * step.solve_s for step in self.steps]),
             },
             "rotor_speeds": dict(Counter(step.rotor_source for step in self.steps)),
+            "late_messages": self.recording.late,
             "notes": self.notes,
         }
 
     def flights(self) -> list[Flight]:
         """Give the recorded flight and the replayed one, for a report that compares them.
 
-        Returns
-        -------
-        list of Flight
-            The same motion twice; margins, predictions and solve times are each its own.
-
-        Raises
-        ------
-        BagError
-            If the flight cannot be read from the bag.
+        The same motion twice; margins, predictions and solve times are each its own.
         """
-        recording, steps = self.recording, self.steps
-        flown = read_flight(recording.path, recording.namespace, recording.renamed)
-        if not recording.changes:
-            flown = replace(flown, tower=self.config.tower, helix=self.config.helix)
-        t = self._times()
-        margins = Margins(
-            t,
-            np.array([step.by_channel for step in steps]),
-            np.array([np.full(step.alpha_g.size, step.eps_s) for step in steps]),
-            np.array([step.alpha_g for step in steps]),
-            np.array([step.slack for step in steps]),
-        )
         replayed = replace(
-            flown,
-            margins=margins,
-            t_solve=t,
-            solve_ms=np.array([1e3 * step.solve_s for step in steps]),
+            self.flown,
+            margins=self.margins,
+            t_solve=self._times(),
+            solve_ms=np.array([1e3 * step.solve_s for step in self.steps]),
             modes=self.modes,
             deadline_ms=1e3 * self.config.sampling_time_s,
             tower=self.config.tower,
             helix=self.config.helix,
             predictions=self._predictions(),
             replayed=True,
+            notes=(),
         )
-        return [replace(flown, predictions=self._recorded_predictions()), replayed]
+        return [self.flown, replayed]
 
     def _predictions(self) -> Predictions:
         ahead_s = self.config.horizon * self.config.sampling_time_s
@@ -179,21 +177,21 @@ class Replay:
         )
 
     def _recorded_predictions(self) -> Predictions:
-        ends = self.recording.plan_ends
-        positions = np.array([position for _, position in ends]).reshape(-1, 3)
+        plans = [plan_path.decode(item.message) for item in self.recording.predicted_paths]
+        ends = [(times_ns[-1], positions[-1]) for times_ns, positions in plans if len(times_ns)]
         return Predictions(
-            np.array([self._since_start(time_ns) for time_ns, _ in ends]),
-            self.config.tower.residual(positions),
+            np.array([self._since_start(int(time_ns)) for time_ns, _ in ends]),
+            self.config.tower.residual(np.array([p for _, p in ends]).reshape(-1, 3)),
         )
 
     def _times(self) -> Array:
         return np.array([self._since_start(step.stamp_ns) for step in self.steps])
 
     def _since_start(self, time_ns: int) -> float:
-        return stamps.seconds(time_ns - self.recording.states[0].stamp_ns)
+        return stamps.seconds(time_ns - self.recording.start_ns)
 
 
-def _largest(values: list[Array]) -> float | None:
+def _largest(values: Array) -> float | None:
     """Largest number of all; None if there is none, or it is not finite and so no JSON."""
-    largest = max((float(value.max()) for value in values if value.size), default=math.nan)
+    largest = float(values.max(initial=-math.inf))
     return largest if math.isfinite(largest) else None

@@ -19,11 +19,12 @@ from scipy.spatial.transform import Rotation
 
 from gtmr_model.dynamics import ATTITUDE, RATE, VELOCITY
 from gtmr_model.vehicle import GRAVITY_M_S2, Vehicle
+from gtmr_monitor.bag.recording import Recording
 from gtmr_msgs_py.messages import rotor_states
 from gtmr_msgs_py.messages.rotor_command import RotorPlan
 from gtmr_msgs_py.wire import stamps
 from gtmr_msgs_py.wire.message_error import MessageError
-from gtmr_study.ros.replay.recording import Recording, State
+from gtmr_study.ros.replay.states import State
 
 Array = NDArray[np.float64]
 
@@ -86,9 +87,9 @@ class RotorSpeeds:
         self.renamed = False
         """Whether the rotors have other names than here, and are taken in order."""
         measured = [
-            (stamp_ns, xi)
-            for stamp_ns, message in recording.rotor_states
-            if (xi := self._decoded(message)) is not None
+            (item.stamp_ns, xi)
+            for item in recording.rotor_states
+            if (xi := self._decoded(item.message)) is not None
         ]
         self._stamps = np.array([stamp_ns for stamp_ns, _ in measured], dtype=np.int64)
         self._xi = np.array([xi for _, xi in measured]).reshape(-1, self._vehicle.n_rotors)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from gtmr_model.dynamics import POSITION
 from gtmr_monitor.bag.format import BagError
+from gtmr_monitor.bag.recording import Recorded, Recording
 from gtmr_msgs_py.messages import rotor_command
 from gtmr_msgs_py.messages.rotor_command import RotorPlan
 from gtmr_msgs_py.wire import stamps
@@ -25,9 +26,9 @@ from gtmr_msgs_py.wire.message_error import MessageError
 from gtmr_nmpc import Controller, ControllerConfig, Mode, Solution
 from gtmr_nmpc.schedule import Due, Schedule
 from gtmr_study.ros.replay.parameters import RecordedParameters
-from gtmr_study.ros.replay.recording import Command, Recording, State
 from gtmr_study.ros.replay.result import Replay, Step
 from gtmr_study.ros.replay.rotor_speeds import SOURCES, RotorSpeeds
+from gtmr_study.ros.replay.states import State, usable_states
 
 Array = NDArray[np.float64]
 OnStep = Callable[[int, int], None]
@@ -71,9 +72,10 @@ def replay(
     parameters = RecordedParameters(recording, mode, config)
     first = parameters.config
     notes = [*recording.notes, *parameters.notes]
-    occasions = _occasions(recording, notes)
+    states = usable_states(recording, notes)
+    occasions = _occasions(recording, states, notes)
     # The time of somebody else's flight has nothing to do with that of the reference.
-    begin_ns = 0 if recording.commands else recording.states[0].stamp_ns
+    begin_ns = 0 if recording.commands else states[0].stamp_ns
     speeds = RotorSpeeds(recording, first.vehicle, parameters.max_stamp_difference_ns)
     controller = Controller(first, parameters.mode)
     schedule = Schedule(stamps.nanoseconds(first.sampling_time_s))
@@ -97,15 +99,17 @@ def replay(
     return Replay(recording, first, steps, notes)
 
 
-def _occasions(recording: Recording, notes: list[str]) -> list[tuple[State, Command | None]]:
+def _occasions(
+    recording: Recording, states: list[State], notes: list[str]
+) -> list[tuple[State, Recorded | None]]:
     """List the odometry to plan from, with the command that answered it if there is one."""
     if not recording.commands:
         notes.append(
             "the bag holds no rotor_command: nothing is compared, and the reference begins with "
             "the first odometry"
         )
-        return [(state, None) for state in recording.states]
-    by_stamp = {state.stamp_ns: state for state in recording.states}
+        return [(state, None) for state in states]
+    by_stamp = {state.stamp_ns: state for state in states}
     answers = [c for c in recording.commands if c.stamp_ns in by_stamp]
     if not answers:
         raise BagError(
@@ -131,7 +135,7 @@ def _reconfigure(controller: Controller, parameters: RecordedParameters) -> None
             ) from None
 
 
-def _plan(command: Command | None, n_rotors: int) -> RotorPlan | None:
+def _plan(command: Recorded | None, n_rotors: int) -> RotorPlan | None:
     if command is None:
         return None
     try:

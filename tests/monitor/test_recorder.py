@@ -13,7 +13,7 @@ import pytest
 from gtmr_monitor.bag.format import BagError
 from gtmr_monitor.bag.reader import TruncatedBagWarning, read_messages
 from gtmr_monitor.bag.writer import BagWriter, OfferedQos
-from gtmr_monitor.recording import Recording
+from gtmr_monitor.recorder import Recorder
 
 FLOAT64 = "std_msgs/msg/Float64"
 
@@ -25,7 +25,7 @@ def said():
 
 @pytest.fixture
 def recording(tmp_path, said):
-    recording = Recording(str(tmp_path / "bag"), said.append)
+    recording = Recorder(str(tmp_path / "bag"), said.append)
     recording.add_topic("/solve_time", FLOAT64, OfferedQos())
     return recording
 
@@ -79,4 +79,4 @@ def test_a_bag_that_cannot_be_ended_is_told(recording, said, monkeypatch):
 def test_there_is_none_where_something_is(tmp_path, said):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(BagError, match="not empty"):
-        Recording(str(tmp_path), said.append)
+        Recorder(str(tmp_path), said.append)

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A recording that may fail in flight: a full disk is no reason to stop watching."""
+"""Recording that may fail in flight: a full disk is no reason to stop watching."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gtmr_monitor.bag.format import BagError
 from gtmr_monitor.bag.writer import BagWriter, OfferedQos
 
 
-class Recording:
+class Recorder:
     """A bag until it cannot be written; from then on it only counts what it lacks.
 
     Parameters

@@ -1,0 +1,175 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What a bag recorded of one vehicle's flight: its messages, in the order of their stamps.
+
+Reports make a `Flight` of it, replays feed it to the controller.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gtmr_monitor.bag.reader import BagMessage
+from gtmr_msgs_py.wire import stamps
+from gtmr_msgs_py.wire.order import StampOrder
+
+# Indexed by the type of a rcl_interfaces/msg/ParameterValue.
+_VALUE_FIELDS = (
+    None, "bool_value", "integer_value", "double_value", "string_value", "byte_array_value",
+    "bool_array_value", "integer_array_value", "double_array_value", "string_array_value",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A message of a bag, decoded."""
+
+    stamp_ns: int
+    """Of its header [ns]; when it was received, if it has none."""
+    received_ns: int
+    """When it was recorded, Unix time [ns]."""
+    sent_ns: int
+    """When it was sent, Unix time [ns]."""
+    message: Any
+    """With the fields of the ROS message."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """Parameters of a node that took another value, or were first heard of."""
+
+    node: str
+    """Fully qualified name."""
+    received_ns: int
+    """When it was recorded, Unix time [ns]."""
+    sent_ns: int
+    """When it was told, Unix time [ns]."""
+    values: dict[str, Any]
+    """By name."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One vehicle's flight in a bag, after the last reset of the simulation.
+
+    What bears a stamp is in the order of the stamps, each stamp once: waiting nodes repeat
+    themselves.
+    """
+
+    path: Path
+    """The bag."""
+    name: str
+    """What to call the flight."""
+    odom: str
+    """Topic of the odometry."""
+    rotors: str | None
+    """Topic of the rotor speeds; None if there is none."""
+    node: str
+    """Fully qualified name of the controller."""
+    odometry: list[Recorded]
+    """Those whose pose is finite; at least one."""
+    before_reset: list[Recorded]
+    """The same, of what was flown before the simulation was last reset."""
+    rotor_states: list[Recorded]
+    """Speeds [rad/s]."""
+    commands: list[Recorded]
+    """The controller's plans, stamped as the odometry that they answer."""
+    command_order: list[int]
+    """Stamps of the commands [ns] in the order in which they were sent."""
+    tightening: list[Recorded]
+    """In the order in which they were received, as have those below."""
+    solve_times: list[Recorded]
+    """[s]."""
+    residuals: list[Recorded]
+    """s as the monitor published it [m]."""
+    predicted_paths: list[Recorded]
+    """The plans' poses [m]."""
+    changes: list[Change]
+    """Of all nodes, in the order in which they were told."""
+    late: dict[str, int]
+    """By topic of the contract, how many messages came behind newer ones; none is left out."""
+    notes: tuple[str, ...]
+    """What a user should know, one sentence each."""
+    truncated: bool
+    """Whether the bag has no end, because its writer was killed."""
+
+    @property
+    def namespace(self) -> str:
+        """Of the controller, with a leading slash; empty for none."""
+        return self.node.rpartition("/")[0]
+
+    @property
+    def start_ns(self) -> int:
+        """Stamp of the first odometry [ns]: the flight's time zero."""
+        return self.odometry[0].stamp_ns
+
+    @property
+    def controller_changes(self) -> list[Change]:
+        """The changes of the controller's parameters."""
+        return [change for change in self.changes if change.node == self.node]
+
+
+def decoded(messages: Iterable[BagMessage]) -> list[Recorded]:
+    """Decode messages, in the order in which they come.
+
+    Raises
+    ------
+    BagError
+        If the data of one do not fit its type.
+    """
+    result = []
+    for raw in messages:
+        message = raw.decode()
+        header = getattr(message, "header", None)
+        stamp_ns = raw.log_time_ns if header is None else stamps.decode(header.stamp)
+        result.append(Recorded(stamp_ns, raw.log_time_ns, raw.publish_time_ns, message))
+    return result
+
+
+def last_flight(received: list[Recorded]) -> tuple[list[Recorded], list[Recorded], int]:
+    """Sort what came after the last reset by its stamps, each stamp once.
+
+    Returns
+    -------
+    flown : list of Recorded
+        By growing stamp.
+    before : list of Recorded
+        What came before the reset, as it came.
+    late : int
+        How many of those flown came behind newer ones.
+    """
+    order, begin = StampOrder(), 0
+    for k, item in enumerate(received):
+        if order.resets(item.stamp_ns):
+            order, begin = StampOrder(), k
+        order.is_late(item.stamp_ns)
+    first = {item.stamp_ns: item for item in reversed(received[begin:])}
+    return [first[stamp_ns] for stamp_ns in sorted(first)], received[:begin], order.late
+
+
+def changes(events: Iterable[BagMessage]) -> list[Change]:
+    """Read what nodes told of their parameters, in the order in which they did."""
+    told = []
+    for item in decoded(events):
+        parameters = (*item.message.new_parameters, *item.message.changed_parameters)
+        values = {parameter.name: _value(parameter.value) for parameter in parameters}
+        told.append(Change(item.message.node, item.received_ns, item.sent_ns, values))
+    return sorted(told, key=lambda change: change.sent_ns)
+
+
+def _value(value: Any) -> Any:
+    """Read a ``rcl_interfaces/msg/ParameterValue``."""
+    name = _VALUE_FIELDS[value.type] if value.type < len(_VALUE_FIELDS) else None
+    plain = getattr(value, name) if name else None
+    return plain.tolist() if isinstance(plain, np.ndarray) else plain

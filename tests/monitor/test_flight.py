@@ -1,0 +1,94 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A flight read from a bag is the whole flight, whatever the order in which messages came."""
+
+import numpy as np
+import pytest
+from support.written_bags import SAMPLE, copied, flown
+
+from gtmr_monitor import BagError, read_flight
+
+CLEAR_M, TOO_CLOSE_M = 0.35, 0.10
+
+
+def samples(n=100, too_close=(30,)):
+    """Stamps 25 ms apart, clear of the tower but for a few instants."""
+    return [(0.025 * k, TOO_CLOSE_M if k in too_close else CLEAR_M) for k in range(n)]
+
+
+def late(samples, k):
+    """The same, but message k comes after its follower."""
+    return [*samples[:k], samples[k + 1], samples[k], *samples[k + 2 :]]
+
+
+def early_by_a_nanosecond(samples, k):
+    """The same, but message k is stamped a nanosecond before the one that it follows."""
+    return [*samples[:k], (samples[k - 1][0] - 1e-9, samples[k][1]), *samples[k + 1 :]]
+
+
+@pytest.mark.parametrize("disorder", [late, early_by_a_nanosecond])
+def test_a_message_out_of_order_hides_no_violation_before_it(tmp_path, disorder):
+    flight = read_flight(flown(tmp_path / "bag", ("/odom", disorder(samples(), 60))))
+
+    statistics = flight.residual_statistics
+    assert statistics["violated"]
+    assert statistics["min_clearance_m"] == pytest.approx(TOO_CLOSE_M)
+    assert statistics["samples"] == 100
+    assert (np.diff(flight.t) > 0.0).all()
+    assert flight.late == {"odom": 1}
+    assert any("1 of 100 odom messages came late" in note for note in flight.notes)
+
+
+def test_a_violation_that_comes_late_is_counted_at_its_own_time(tmp_path):
+    flight = read_flight(flown(tmp_path / "bag", ("/odom", late(samples(), 30))))
+
+    assert flight.t[flight.residual > 0.0] == pytest.approx([0.75])
+
+
+def test_what_came_before_a_reset_is_left_out_but_told(tmp_path):
+    flight = read_flight(flown(tmp_path / "bag", ("/odom", samples() + samples(40, ()))))
+
+    assert flight.residual_statistics["samples"] == 40
+    assert not flight.residual_statistics["violated"]
+    (note,) = flight.notes
+    assert "began again" in note
+    assert "100 odom" in note
+    assert "0.100 m" in note
+    assert flight.late == {}
+
+
+def test_the_sample_bag_has_nothing_to_tell():
+    flight = read_flight(SAMPLE)
+
+    assert flight.notes == ()
+    assert flight.mode == "robust"
+
+
+def test_commands_and_rotor_speeds_out_of_order_keep_their_margins(tmp_path):
+    def swap(messages):
+        for topic in ("/rotor_command", "/rotor_states"):
+            a, b = [k for k, m in enumerate(messages) if m.topic == topic][200:202]
+            messages[a], messages[b] = messages[b], messages[a]
+        return messages
+
+    whole, mixed = read_flight(SAMPLE), read_flight(copied(SAMPLE, tmp_path / "bag", swap))
+
+    assert mixed.late == {"rotor_command": 1, "rotor_states": 1}
+    assert mixed.t_rotors == pytest.approx(whole.t_rotors)
+    assert mixed.rotor_speed_hz == pytest.approx(whole.rotor_speed_hz)
+    # Margins bear no stamp: they belong to the commands as these were sent.
+    assert sorted(mixed.margins.t) == pytest.approx(whole.margins.t)
+
+
+def test_a_bag_of_several_vehicles_asks_which_one(tmp_path):
+    bag = flown(tmp_path / "bag", ("/a/odom", samples()), ("/b/odom", samples(50, ())))
+
+    with pytest.raises(BagError, match="several vehicles, name one: /a, /b"):
+        read_flight(bag)
+    assert read_flight(bag, "/b").t.size == 50
