@@ -11,18 +11,20 @@
 Every mode flies in a namespace of its own name; both go into one bag.
 """
 
+from typing import Any
+
 from launch import LaunchContext, LaunchDescription
-from launch.actions import OpaqueFunction, Shutdown
+from launch.actions import OpaqueFunction
+from launch.events.process import ProcessExited
 from launch_ros.actions import Node
 
 from gtmr_msgs_py.start import launching
+from gtmr_msgs_py.start.launching import IN_FLIGHT_TIME
 
 MODES = ("nominal", "robust")
 """Modes, and namespaces."""
 ARGUMENTS = {"bag": launching.BAG, **launching.COMMON}
 """The launch arguments, by name."""
-OWN_CLOCK = [("/clock", "clock")]
-"""Two simulators make two times: each is heard in its own namespace only."""
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -34,30 +36,21 @@ def nodes(context: LaunchContext) -> list[Node]:
     given = launching.values(ARGUMENTS, context.launch_configurations)
     bag = given.get("bag", "")
     recorders = {"recorders": 1 if bag else 0}
-    flying = set(MODES)
+    flying = len(MODES)
 
-    def end_after_the_last(mode: str) -> OpaqueFunction:
-        def ended(_: LaunchContext) -> list[Shutdown]:
-            flying.discard(mode)
-            return [] if flying else [Shutdown()]
-
-        return OpaqueFunction(function=ended)
+    def landed(event: ProcessExited, context: LaunchContext) -> list[Any]:
+        """Let the other fly on after the first that is done."""
+        nonlocal flying
+        flying -= 1
+        return [] if flying and event.returncode == 0 else launching.required(event, context)
 
     started = []
     for mode in MODES:
-        where = {"namespace": mode, "remappings": OWN_CLOCK}
+        lockstep, in_mode = {"lockstep": True}, {"mode": mode}
         started += [
-            launching.node(
-                "sim",
-                ARGUMENTS,
-                given,
-                recorders | {"lockstep": True},
-                on_exit=end_after_the_last(mode),
-                **where,
-            ),
-            launching.node(
-                "nmpc", ARGUMENTS, given, recorders | {"mode": mode, "use_sim_time": True}, **where
-            ),
+            launching.node("sim", ARGUMENTS, given, recorders | lockstep, mode, on_exit=landed),
+            launching.node("nmpc", ARGUMENTS, given, recorders | in_mode | IN_FLIGHT_TIME, mode),
         ]
-    monitor = launching.node("monitor", ARGUMENTS, given, {"bag": bag, "namespaces": list(MODES)})
-    return [*started, monitor, *launching.views(given)]
+    watched = {"bag": bag, "namespaces": list(MODES)}
+    monitor = launching.node("monitor", ARGUMENTS, given, watched)
+    return [*started, monitor, *launching.views(given, MODES)]

@@ -9,10 +9,11 @@
 """Simulator, controller and monitor together: `ros2 launch gtmr inspection.launch.py`."""
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import OpaqueFunction, Shutdown
+from launch.actions import OpaqueFunction
 from launch_ros.actions import Node
 
 from gtmr_msgs_py.start import launching
+from gtmr_msgs_py.start.launching import IN_FLIGHT_TIME
 
 ARGUMENTS = {
     "mode": launching.MODE,
@@ -32,10 +33,9 @@ def nodes(context: LaunchContext) -> list[Node]:
     given = launching.values(ARGUMENTS, context.launch_configurations)
     bag = given.get("bag", "")
     recorders = {"recorders": 1 if bag else 0}
-    in_flight_time = {"use_sim_time": True}
     return [
-        launching.node("sim", ARGUMENTS, given, recorders, on_exit=Shutdown()),
-        launching.node("nmpc", ARGUMENTS, given, recorders | in_flight_time),
-        launching.node("monitor", ARGUMENTS, given, {"bag": bag} | in_flight_time),
+        launching.node("sim", ARGUMENTS, given, recorders),
+        launching.node("nmpc", ARGUMENTS, given, recorders | IN_FLIGHT_TIME),
+        launching.node("monitor", ARGUMENTS, given, {"bag": bag} | IN_FLIGHT_TIME),
         *launching.views(given),
     ]

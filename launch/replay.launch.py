@@ -12,11 +12,11 @@ The controller answers the recorded odometry; what it commands moves nothing.
 """
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import ExecuteProcess, OpaqueFunction, Shutdown
+from launch.actions import ExecuteProcess, OpaqueFunction
 from launch_ros.actions import Node
 
 from gtmr_msgs_py.start import launching
-from gtmr_msgs_py.start.launching import Argument
+from gtmr_msgs_py.start.launching import IN_FLIGHT_TIME, Argument
 
 START_TIMEOUT_S = 60
 """How long the playback waits for the nodes to listen [s]."""
@@ -27,7 +27,7 @@ ARGUMENTS = {
     "record": Argument("New folder to record into; empty for no recording"),
     "mode": launching.MODE,
     "vehicle": Argument("Name of a preset, or path of a .yaml file", parameter_of=("nmpc",)),
-    **{name: launching.COMMON[name] for name in ("params_file", "rviz", "foxglove")},
+    **launching.EVERYWHERE,
 }
 """The launch arguments, by name."""
 
@@ -41,17 +41,17 @@ def processes(context: LaunchContext) -> list[Node | ExecuteProcess]:
     given = launching.values(ARGUMENTS, context.launch_configurations)
     if "bag" not in given:
         raise ValueError("bag:= is missing: give the bag to play")
-    in_flight_time = {"use_sim_time": True}
+    record = {"bag": given.get("record", "")}
     play = ["play", given["bag"], "--rate", str(given["rate"]), "--wait", str(START_TIMEOUT_S)]
     play += ["--loop"] if given["loop"] else []
     return [
-        launching.node("nmpc", ARGUMENTS, given, in_flight_time),
-        launching.node(
-            "monitor", ARGUMENTS, given, {"bag": given.get("record", "")} | in_flight_time
-        ),
+        launching.node("nmpc", ARGUMENTS, given, IN_FLIGHT_TIME),
+        launching.node("monitor", ARGUMENTS, given, record | IN_FLIGHT_TIME),
         # As scripts/ find Python: `gtmr` itself is on no path under colcon.
         ExecuteProcess(
-            cmd=["python3", "-m", "gtmr_study.cli", *play], output="screen", on_exit=Shutdown()
+            cmd=["python3", "-m", "gtmr_study.cli", *play],
+            output="screen",
+            on_exit=launching.required,
         ),
         *launching.views(given),
     ]

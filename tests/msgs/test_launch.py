@@ -11,10 +11,11 @@
 from pathlib import Path
 
 import pytest
-from support.launch_stubs import parameters
+from support.launch_stubs import exit_of, parameters
 
 from gtmr_monitor.node import MonitorNode, MonitorParameters
 from gtmr_msgs_py.node.declarations import declarations
+from gtmr_nmpc.config import MODES
 from gtmr_nmpc.node import NmpcNode, NmpcParameters
 from gtmr_sim.node import SimNode, SimParameters
 
@@ -88,9 +89,47 @@ def test_a_recorded_flight_waits_for_its_recorder(launch):
 
 
 def test_viewers_start_only_when_asked_for(launch):
-    _, nodes = launch("inspection", rviz="true", foxglove="true")
+    both = ("rviz2", "foxglove_bridge")
+    _, nodes = launch("inspection", viewers=both, rviz="true", foxglove="true")
     assert [node.package for node in nodes[3:]] == ["rviz2", "foxglove_bridge"]
     assert Path(nodes[3].arguments[1]).is_file()
+
+
+@pytest.mark.parametrize("viewer", ["rviz", "foxglove"])
+def test_a_viewer_that_is_not_installed_is_named_before_anything_starts(launch, viewer):
+    with pytest.raises(ValueError, match=f"{viewer}:=true needs the package {viewer}.*, which is"):
+        launch("inspection", **{viewer: "true"})
+
+
+def test_a_comparison_is_shown_where_its_topics_are(launch):
+    _, nodes = launch("compare", viewers=("rviz2",), rviz="true", namespace="fleet")
+    shown = [node for node in nodes if node.package == "rviz2"]
+    assert [node.namespace for node in shown] == ["fleet/nominal", "fleet/robust"]
+    assert all(("/clock", "clock") in node.remappings for node in shown)
+
+
+@pytest.mark.parametrize("name", LAUNCHED)
+def test_the_end_of_any_node_ends_the_launch_and_its_failure_is_one(launch, name):
+    _, nodes = launch(name)
+    for node in nodes:
+        with pytest.raises(RuntimeError, match=f"{node.executable} ended with exit code 2"):
+            exit_of(node, 2)
+        assert exit_of(node, -2, is_shutdown=True) == []
+    monitor = nodes[-1]
+    assert exit_of(monitor, 0) == ["Shutdown"]
+
+
+@pytest.mark.parametrize("name", LAUNCHED)
+def test_a_namespace_has_a_clock_of_its_own(launch, name):
+    _, nodes = launch(name, namespace="hex1")
+    assert all(node.namespace.startswith("hex1") for node in nodes)
+    assert all(("/clock", "clock") in node.remappings for node in nodes)
+    assert all(node.ros_arguments == ["--log-level", "info"] for node in nodes)
+
+
+def test_a_mode_that_does_not_exist_is_refused_by_launch(launch):
+    arguments, _ = launch("inspection")
+    assert set(arguments["mode"].choices) == {"", *MODES}
 
 
 def test_two_flights_are_apart_and_end_together(launch):
@@ -102,8 +141,7 @@ def test_two_flights_are_apart_and_end_together(launch):
     assert all(("/clock", "clock") in node.remappings for node in sims)
     assert all(parameters(node)["seed"] == 3 for node in sims)
     assert parameters(nodes[-1])["namespaces"] == ["nominal", "robust"]
-    ends = [sim.on_exit.function(None) for sim in sims]
-    assert [[action.kind for action in end] for end in ends] == [[], ["Shutdown"]]
+    assert [exit_of(sim, 0) for sim in sims] == [[], ["Shutdown"]]
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,8 @@ ROOT = Path(__file__).parents[2]
 STUBS = {
     "launch": ["LaunchContext", "LaunchDescription"],
     "launch.actions": ["DeclareLaunchArgument", "ExecuteProcess", "OpaqueFunction", "Shutdown"],
+    "launch.events": [],
+    "launch.events.process": ["ProcessExited"],
     "launch_ros": [],
     "launch_ros.actions": ["Node"],
 }
@@ -45,7 +47,8 @@ def launch(monkeypatch):
 
     monkeypatch.setattr(launching, "share", lambda: ROOT)
 
-    def start(name, **texts):
+    def start(name, viewers=(), **texts):
+        monkeypatch.setattr(launching, "_is_installed", lambda package: package in viewers)
         loaded = runpy.run_path(str(ROOT / "launch" / f"{name}.launch.py"))
         (entities,) = loaded["generate_launch_description"]().args
         defaults = {e.args[0]: e.default_value for e in entities if e.kind != "OpaqueFunction"}
@@ -61,3 +64,9 @@ def parameters(node):
     path, given = node.parameters
     assert Path(path).is_file()
     return given
+
+
+def exit_of(node, returncode, is_shutdown=False):
+    """What follows when its process has ended."""
+    event = SimpleNamespace(returncode=returncode, process_name=node.executable)
+    return [each.kind for each in node.on_exit(event, SimpleNamespace(is_shutdown=is_shutdown))]

@@ -10,17 +10,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
-from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument
+from ament_index_python.packages import (
+    PackageNotFoundError,
+    get_package_prefix,
+    get_package_share_directory,
+)
+from launch.actions import DeclareLaunchArgument, Shutdown
 from launch_ros.actions import Node
 
 from gtmr_msgs_py.start.environment import SINGLE_THREADED_ALGEBRA
+
+if TYPE_CHECKING:
+    from launch.events.process import ProcessExited
+    from launch.launch_context import LaunchContext
+
+IN_FLIGHT_TIME = {"use_sim_time": True}
+"""Parameters of a node that goes by the simulator's clock."""
+VIEWERS = {"rviz": "rviz2", "foxglove": "foxglove_bridge"}
+"""Package, and executable, by argument."""
+
+OnExit = Callable[["ProcessExited", "LaunchContext"], "list[Any]"]
+"""What follows when a process has ended."""
 
 
 @dataclass(frozen=True)
@@ -35,19 +51,37 @@ class Argument:
     """Executables that have a parameter of the same name, which it sets."""
     kind: type = str
     """Type of that parameter."""
+    choices: tuple[str, ...] = ()
+    """What it may be, if not anything."""
 
 
-MODE = Argument("Controller mode: nominal or robust; may change in flight", parameter_of=("nmpc",))
+MODE = Argument(
+    "Controller mode; may change in flight; empty for that of the parameter file",
+    parameter_of=("nmpc",),
+    choices=("", "nominal", "robust"),
+)
 BAG = Argument("New folder to record the flight into; empty for no recording")
 LOCKSTEP = Argument(
     "Whether to wait for the command of every odometry: the same flight every time",
     parameter_of=("sim",),
     kind=bool,
 )
-COMMON = {
+EVERYWHERE = {
     "params_file": Argument(
         "Parameters of all nodes: paper, wind, worst-case, or the path of a .yaml file", "paper"
     ),
+    "namespace": Argument(
+        "Namespace of all nodes, with a clock of its own; empty for none and /clock"
+    ),
+    "log_level": Argument(
+        "What the nodes tell", "info", choices=("debug", "info", "warn", "error", "fatal")
+    ),
+    "rviz": Argument("Whether to open RViz", "false", kind=bool),
+    "foxglove": Argument("Whether to start foxglove_bridge", "false", kind=bool),
+}
+"""Arguments of every launch file."""
+COMMON = {
+    **EVERYWHERE,
     "vehicle": Argument("Name of a preset, or path of a .yaml file", parameter_of=("sim", "nmpc")),
     "zeta": Argument("True mismatch and wind bias, 9 numbers", parameter_of=("sim",), kind=list),
     "sample_zeta": Argument(
@@ -64,32 +98,25 @@ COMMON = {
         parameter_of=("sim",),
         kind=float,
     ),
-    "rviz": Argument("Whether to open RViz", "false", kind=bool),
-    "foxglove": Argument("Whether to start foxglove_bridge", "false", kind=bool),
 }
 """Arguments of every launch file that flies."""
 
 
 def declare(arguments: Mapping[str, Argument]) -> list[DeclareLaunchArgument]:
-    """Declare launch arguments.
-
-    Parameters
-    ----------
-    arguments : mapping
-        By name.
-
-    Returns
-    -------
-    list of launch.actions.DeclareLaunchArgument
-    """
+    """Declare launch arguments by name."""
     return [
-        DeclareLaunchArgument(name, default_value=a.default, description=a.description)
+        DeclareLaunchArgument(
+            name,
+            default_value=a.default,
+            description=a.description,
+            choices=list(a.choices) or None,
+        )
         for name, a in arguments.items()
     ]
 
 
 def values(arguments: Mapping[str, Argument], given: Mapping[str, str]) -> dict[str, Any]:
-    """Read the arguments that were given, as what they are.
+    """Read the arguments that were given, as what they are, before anything is started.
 
     Parameters
     ----------
@@ -106,9 +133,13 @@ def values(arguments: Mapping[str, Argument], given: Mapping[str, str]) -> dict[
     Raises
     ------
     ValueError
-        If a text is not of the argument's kind.
+        If a text is not of the argument's kind, or a viewer is not installed.
     """
-    return {name: _value(name, a, given[name]) for name, a in arguments.items() if given[name]}
+    read = {name: _value(name, a, given[name]) for name, a in arguments.items() if given[name]}
+    for name, package in VIEWERS.items():
+        if read[name] and not _is_installed(package):
+            raise ValueError(f"{name}:=true needs the package {package}, which is not installed")
+    return read
 
 
 def _value(name: str, argument: Argument, text: str) -> Any:
@@ -125,12 +156,36 @@ def _value(name: str, argument: Argument, text: str) -> Any:
     return value
 
 
+def _is_installed(package: str) -> bool:
+    try:
+        get_package_prefix(package)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
+def required(event: ProcessExited, context: LaunchContext) -> list[Any]:
+    """End the launch when a process has ended by itself, and as a failure if that failed.
+
+    Raises
+    ------
+    RuntimeError
+        If its exit code is not 0; `ros2 launch` then ends all others, and with exit code 1.
+    """
+    if context.is_shutdown:
+        return []
+    if event.returncode != 0:
+        raise RuntimeError(f"{event.process_name} ended with exit code {event.returncode}")
+    return [Shutdown(reason=f"{event.process_name} has ended")]
+
+
 def node(
     executable: str,
     arguments: Mapping[str, Argument],
     given: Mapping[str, Any],
     parameters: Mapping[str, Any],
-    **options: Any,
+    below: str = "",
+    on_exit: OnExit = required,
 ) -> Node:
     """Start a node of the suite.
 
@@ -144,8 +199,10 @@ def node(
         Their values.
     parameters : mapping
         Further parameters of this node, which win over what was given.
-    **options
-        For launch_ros.actions.Node.
+    below : str
+        Namespace below the one that was given.
+    on_exit : callable
+        What follows its end.
 
     Returns
     -------
@@ -156,59 +213,46 @@ def node(
         package="gtmr",
         executable=executable,
         parameters=[parameter_file(given["params_file"]), {**set_by_argument, **parameters}],
+        ros_arguments=["--log-level", given["log_level"]],
         additional_env=SINGLE_THREADED_ALGEBRA,
         output="screen",
-        **options,
+        on_exit=on_exit,
+        **_place(given, below),
     )
 
 
-def views(given: Mapping[str, Any]) -> list[Node]:
-    """Start the viewers that were asked for.
-
-    Parameters
-    ----------
-    given : mapping
-        Values of the arguments.
-
-    Returns
-    -------
-    list of launch_ros.actions.Node
-    """
-    use_sim_time = [{"use_sim_time": True}]
-    nodes = []
-    if given["rviz"]:
-        config = str(share() / "rviz" / "inspection.rviz")
-        nodes.append(
-            Node(
-                package="rviz2",
-                executable="rviz2",
-                arguments=["-d", config],
-                parameters=use_sim_time,
-            )
+def views(given: Mapping[str, Any], below: tuple[str, ...] = ("",)) -> list[Node]:
+    """Start the viewers that were asked for, RViz once for each namespace; both may be closed."""
+    config = ["-d", str(share() / "rviz" / "inspection.rviz")]
+    places: dict[str, list[dict[str, Any]]] = {
+        "rviz": [_place(given, each) for each in below],
+        "foxglove": [{}],
+    }
+    return [
+        Node(
+            package=package,
+            executable=package,
+            arguments=config if name == "rviz" else [],
+            parameters=[IN_FLIGHT_TIME],
+            **place,
         )
-    if given["foxglove"]:
-        nodes.append(
-            Node(
-                package="foxglove_bridge",
-                executable="foxglove_bridge",
-                parameters=use_sim_time,
-            )
-        )
-    return nodes
+        for name, package in VIEWERS.items()
+        if given[name]
+        for place in places[name]
+    ]
+
+
+def _place(given: Mapping[str, Any], below: str) -> dict[str, Any]:
+    """Say where a node is; in a namespace it has time and transforms of its own."""
+    namespace = "/".join(filter(None, (given.get("namespace", ""), below)))
+    if not namespace:
+        return {}
+    own = [(f"/{name}", name) for name in ("clock", "tf", "tf_static")]
+    return {"namespace": namespace, "remappings": own}
 
 
 def parameter_file(name_or_path: str) -> str:
-    """Find a parameter file by its name or path.
-
-    Parameters
-    ----------
-    name_or_path : str
-        Name of a file in ``config/ros``, or a path that ends in ``.yaml`` or ``.yml``.
-
-    Returns
-    -------
-    str
-        Its path.
+    """Find a parameter file by the name of one in ``config/ros``, or by a path to a ``.yaml``.
 
     Raises
     ------
