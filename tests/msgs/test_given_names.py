@@ -71,6 +71,10 @@ def test_a_section_for_any_node_may_name_what_another_node_has(start):
     start(file=section("{horizon: 20, bag: '', seed: 3}"))
 
 
+def test_values_as_launch_writes_them_are_no_obstacle(start):
+    start(file=section("{horizon: 20, namespaces: !!python/tuple ['', hex1]}"))
+
+
 @pytest.mark.parametrize("node", ["sim", "/sim", "/**/sim"])
 def test_a_section_for_one_node_may_not(start, node):
     with pytest.raises(ConfigError, match="no parameter horizon: it is one of nmpc"):

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import yaml
 
@@ -50,8 +50,9 @@ def refuse_unknown_names(node: Node, args: Sequence[str]) -> None:
     unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)]
     if not unknown:
         return
+    every_node = (files("gtmr_model") / "config" / "parameters.yaml").read_text(encoding="utf-8")
     shared = _shared_names(args)
-    suite = {section.rpartition("/")[2]: names for section, names in _sections(_every_node())}
+    suite = {section.rpartition("/")[2]: names for section, names in _sections(every_node)}
     own = set(node.list_parameters([], 0).names)
     for name in sorted(unknown):
         others = sorted(other for other, names in suite.items() if name in names)
@@ -69,8 +70,7 @@ def _shared_names(args: Sequence[str]) -> set[str]:
     alone: set[str] = set()
     for option, value in pairwise(args):
         if option == "--params-file":
-            content = yaml.safe_load(Path(value).read_text(encoding="utf-8"))
-            for section, names in _sections(content):
+            for section, names in _sections(Path(value).read_text(encoding="utf-8")):
                 for_any = "*" in section.rpartition("/")[2]
                 (shared if for_any else alone).update(names)
         elif option in ("-p", "--param"):
@@ -78,22 +78,28 @@ def _shared_names(args: Sequence[str]) -> set[str]:
     return shared - alone
 
 
-def _every_node() -> Any:
-    path = files("gtmr_model") / "config" / "parameters.yaml"
-    return yaml.safe_load(path.read_text(encoding="utf-8"))
+def _sections(text: str) -> Iterator[Section]:
+    # Names alone are read: launch_ros tags values in ways that only its own Python knows.
+    yield from _sections_of(yaml.compose(text, yaml.SafeLoader), "")
 
 
-def _sections(tree: Any, above: str = "") -> Iterator[Section]:
-    for key, value in (tree or {}).items():
-        if key == "ros__parameters":
-            yield above, set(_flat(value))
-        elif isinstance(value, dict):
-            yield from _sections(value, f"{above}/{key}".replace("//", "/"))
-
-
-def _flat(tree: Any, above: str = "") -> Iterator[str]:
-    for key, value in (tree or {}).items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{above}{key}.")
+def _sections_of(tree: yaml.Node | None, above: str) -> Iterator[Section]:
+    for name, value in _entries(tree):
+        if name == "ros__parameters":
+            yield above, set(_flat(value, ""))
         else:
-            yield f"{above}{key}"
+            yield from _sections_of(value, f"{above}/{name}".replace("//", "/"))
+
+
+def _flat(tree: yaml.Node, above: str) -> Iterator[str]:
+    for name, value in _entries(tree):
+        if isinstance(value, yaml.MappingNode):
+            yield from _flat(value, f"{above}{name}.")
+        else:
+            yield f"{above}{name}"
+
+
+def _entries(tree: yaml.Node | None) -> list[tuple[str, yaml.Node]]:
+    if not isinstance(tree, yaml.MappingNode):
+        return []
+    return [(str(key.value), value) for key, value in tree.value]
