@@ -16,14 +16,15 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, TypeVar
 
 import dask
 from distributed import Client, LocalCluster, as_completed
 
-from gtmr_nmpc import Mode
 from gtmr_study.campaign.study import Study
 from gtmr_study.campaign.trial import ERROR, Row, empty_row, fly_trials
+from gtmr_study.own_controller import OwnController
 from gtmr_study.result_files import InputError
 
 CONNECT_TIMEOUT_S = 3.0
@@ -36,7 +37,7 @@ a worker's death costs little [s]."""
 LARGEST_CHUNK = 64
 """Flights in a chunk at most."""
 
-Flights = Sequence[tuple[int, Mode]]
+Flights = Sequence[tuple[int, str]]
 Chunk = TypeVar("Chunk")
 Result = TypeVar("Result")
 
@@ -145,7 +146,9 @@ def workers(count: int | None = None, scheduler: str | None = None) -> Iterator[
         yield client
 
 
-def fly_on(client: Client, study: Study, flights: Flights) -> Iterator[list[Row]]:
+def fly_on(
+    client: Client, study: Study, flights: Flights, own: OwnController | None = None
+) -> Iterator[list[Row]]:
     """Fly on workers, in chunks.
 
     Parameters
@@ -156,6 +159,8 @@ def fly_on(client: Client, study: Study, flights: Flights) -> Iterator[list[Row]
         The campaign.
     flights : sequence of (int, str)
         Numbers of trials, and modes.
+    own : OwnController or None
+        See `fly_trial`.
 
     Yields
     ------
@@ -163,7 +168,7 @@ def fly_on(client: Client, study: Study, flights: Flights) -> Iterator[list[Row]
         The rows of one chunk, in the order in which chunks are done.
     """
     chunks = list(chunked(flights, study.duration_s))
-    for chunk, rows in run_chunks(client, fly_trials, study, chunks):
+    for chunk, rows in run_chunks(client, partial(fly_trials, own=own), study, chunks):
         if isinstance(rows, BaseException):
             # Flights report their own errors; here the workers themselves gave up.
             yield [_lost(trial, mode, rows) for trial, mode in chunk]
@@ -228,6 +233,6 @@ def _be_quiet() -> None:
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
 
 
-def _lost(trial: int, mode: Mode, error: Any) -> Row:
+def _lost(trial: int, mode: str, error: Any) -> Row:
     reason = " ".join(f"{type(error).__name__}: {error}".split())
     return empty_row(trial, mode) | {"status": ERROR, "error": reason}

@@ -77,12 +77,17 @@ class Campaign:
         return summarise(self.trials)
 
 
+def mode_colour(mode: str) -> str:
+    """Colour of a mode, or of an own controller."""
+    return look.MODE_COLOURS.get(mode, look.OTHER_COLOUR)
+
+
 def residual(campaign: Campaign) -> Figure:
     """Draw the residual pooled over all trials as box plots, as in Fig. 2."""
     figure = new_figure(5.2, 4.2)
     axes = figure.subplots()
     summary = {mode: campaign.summary[mode]["residual_m"] for mode in campaign.flown}
-    draw_boxes(axes, list(summary.values()), [look.MODE_COLOURS[mode] for mode in summary])
+    draw_boxes(axes, list(summary.values()), [mode_colour(mode) for mode in summary])
     axes.set_xticks(range(1, len(summary) + 1), [str(mode) for mode in summary])
     axes.set(
         ylabel="s = $d_{min} - d_T$ [m]",
@@ -131,7 +136,7 @@ def least_clearance(campaign: Campaign) -> Figure:
     for mode, rows in campaign.flown.items():
         values = np.sort(rows["min_clearance_m"].to_numpy(float))
         share = np.arange(1, values.size + 1) / values.size
-        axes.step(values, share, where="post", color=look.MODE_COLOURS[mode], label=mode)
+        axes.step(values, share, where="post", color=mode_colour(mode), label=mode)
     d_min = campaign.study.controller.tower.min_clearance_m
     axes.axvline(d_min, color=look.LIMIT, linestyle=(0, (4, 2)), linewidth=1.2)
     axes.annotate(
@@ -155,7 +160,7 @@ def violations(campaign: Campaign) -> Figure:
         s = campaign.summary[mode]
         low, high = (100.0 * bound for bound in wilson_interval(s["violations"], s["trials"]))
         rate = 100.0 * s["violation_rate"]
-        colour = look.MODE_COLOURS[mode]
+        colour = mode_colour(mode)
         axes.plot([low, high], [k, k], color=colour, linewidth=2.5, solid_capstyle="butt")
         axes.plot(rate, k, "o", color=colour, markersize=6)
         axes.annotate(
@@ -181,7 +186,7 @@ def channels(campaign: Campaign) -> Figure:
         place = np.arange(len(order)) + height * (0.5 * (len(shares) - 1) - k)
         share, low, high = (found[column].reindex(order) for column in ("share", "low", "high"))
         axes.barh(
-            place, share, height, color=look.MODE_COLOURS[mode], label=mode,
+            place, share, height, color=mode_colour(mode), label=mode,
             xerr=(share - low, high - share),
             error_kw={"ecolor": look.INK, "elinewidth": 1.0, "capsize": 2.0},
         )  # fmt: skip
@@ -220,7 +225,7 @@ def solve_times(campaign: Campaign) -> Figure:
             label = f"{mode}, {'median' if dash == '-' else '99th percentile'}"
             axes.step(
                 values, share, where="post", linestyle=dash, label=label,
-                color=look.MODE_COLOURS[mode],
+                color=mode_colour(mode),
             )  # fmt: skip
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter("{x:g}")

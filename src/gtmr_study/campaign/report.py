@@ -15,10 +15,9 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from gtmr_monitor.report import look
 from gtmr_monitor.report.drawing import inline_svg, save
 from gtmr_monitor.report.html import page, signed, table
-from gtmr_study.campaign.figures import Campaign, figures_of, why_no_channels
+from gtmr_study.campaign.figures import Campaign, figures_of, mode_colour, why_no_channels
 
 CAPTIONS = {
     "residual": "s = d<sub>min</sub> − d<sub>T</sub>, pooled over all instants of all trials; "
@@ -87,7 +86,7 @@ def campaign_section(campaign: Campaign) -> str:
     str
     """
     summary = campaign.summary
-    missing = campaign.study.n_trials * len(campaign.study.modes) - len(campaign.trials)
+    missing = campaign.study.n_trials * len(campaign.study.flown_modes) - len(campaign.trials)
     errors = sum(s["errors"] for s in summary.values())
     notes = []
     if missing:
@@ -103,7 +102,7 @@ def campaign_section(campaign: Campaign) -> str:
         f'<figure id="{name}">{inline_svg(draw)}</figure>\n<p>{CAPTIONS[name]}</p>'
         for name, draw in figures_of(campaign).items()
     )
-    heads = [(mode, look.MODE_COLOURS[mode]) for mode in flown]
+    heads = [(mode, mode_colour(mode)) for mode in flown]
     return f"""<h2>{escape(campaign.name)}</h2>
 {warnings}
 <div class="tables">
@@ -124,6 +123,10 @@ def _solve(key: str) -> Value:
     return lambda s: f"{s['solve_ms'][key]:.2f}"
 
 
+def _failed(summary: dict[str, Any]) -> str:
+    return "not told" if summary["failed_steps"] is None else str(summary["failed_steps"])
+
+
 _ROWS: tuple[tuple[str, Value], ...] = (
     ("trials with a violation", lambda s: f"<strong>{s['violations']}</strong> of {s['trials']}"),
     (
@@ -141,7 +144,7 @@ _ROWS: tuple[tuple[str, Value], ...] = (
     ("solve time, mean [ms]", _solve("mean")),
     ("median [ms]", _solve("median")),
     ("99th percentile [ms]", _solve("p99")),
-    ("steps without a solution", lambda s: str(s["failed_steps"])),
+    ("steps without a solution", _failed),
 )
 
 

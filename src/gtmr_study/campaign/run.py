@@ -24,7 +24,8 @@ from gtmr_study.campaign.trials_file import (
     read_trials,
     require_own_or_empty,
 )
-from gtmr_study.result_files import write_json
+from gtmr_study.own_controller import OwnController
+from gtmr_study.result_files import InputError, write_json
 
 SUMMARY_FILE = "summary.json"
 
@@ -38,6 +39,7 @@ def fly_campaign(
     n_workers: int | None = None,
     scheduler: str | None = None,
     on_progress: OnProgress | None = None,
+    own: OwnController | None = None,
 ) -> dict[str, dict[str, Any]]:
     """Fly what is missing of a campaign, and sum it up.
 
@@ -54,6 +56,8 @@ def fly_campaign(
         Address of a running Dask scheduler, instead.
     on_progress : callable, optional
         Called while flying.
+    own : OwnController, optional
+        Flies instead of the suite's own controllers; nothing but an argument can bring its code.
 
     Returns
     -------
@@ -63,10 +67,19 @@ def fly_campaign(
     Raises
     ------
     InputError
-        If the folder holds anything else, or the scheduler is not there.
+        If the folder holds anything else, the scheduler is not there, or an own controller
+        cannot be made.
     ResultsError
         If results cannot be written; finished trials are kept.
     """
+    if own is not None:
+        own.make(study.controller)
+        study = study.model_copy(update={"own_controller": own.fingerprint})
+    elif study.own_controller is not None:
+        raise InputError(
+            f"own_controller = {study.own_controller.name}: a study can tell of it but not bring "
+            "it; name its file: --controller file.py:Class"
+        )
     with ExitStack() as stack:
         require_own_or_empty("--out", folder, study)
         client = None
@@ -79,7 +92,7 @@ def fly_campaign(
         if missing and client is None:
             client = stack.enter_context(cluster.local_workers(n_workers))
         if client is not None:
-            for rows in cluster.fly_on(client, study, missing):
+            for rows in cluster.fly_on(client, study, missing, own):
                 file.append(rows)
                 if on_progress is not None:
                     on_progress(len(file.done), len(flights))

@@ -23,6 +23,7 @@ from gtmr_nmpc import MODES, ControllerConfig, Mode
 from gtmr_sim import GustConfig, Scenario
 from gtmr_sim.scenario import whole_steps
 from gtmr_study.campaign.plans import Plan
+from gtmr_study.own_controller import ControllerFingerprint
 
 RANDOM_TRIALS = 500
 """Trials of a random plan that does not say how many, as in the paper."""
@@ -43,6 +44,9 @@ class Study(YamlModel):
     """The controller, with the vehicle, tower and helix that it believes in."""
     modes: tuple[Mode, ...] = Field(MODES, min_length=1)
     """Which modes fly every trial."""
+    own_controller: ControllerFingerprint | None = None
+    """What flies instead, in one mode that is called like it. This only says what it is: its file
+    is named on the command line."""
     trials: int | None = Field(None, ge=1, le=10_000_000)
     """How many; left out: 500 if the plan is random, else every point of the plan once."""
     seed: int = Field(0, ge=0)
@@ -85,9 +89,14 @@ class Study(YamlModel):
         points = _points(self.plan, self.true_uncertainty, self.seed)
         return RANDOM_TRIALS if points is None else len(points)
 
-    def flights(self) -> list[tuple[int, Mode]]:
+    @property
+    def flown_modes(self) -> tuple[str, ...]:
+        """What the rows of results call who flew: the modes, or an own controller's class."""
+        return self.modes if self.own_controller is None else (self.own_controller.name,)
+
+    def flights(self) -> list[tuple[int, str]]:
         """Every trial in every mode: what there is to fly."""
-        return [(trial, mode) for trial in range(self.n_trials) for mode in self.modes]
+        return [(trial, mode) for trial in range(self.n_trials) for mode in self.flown_modes]
 
     def scenario(self, trial: int) -> Scenario:
         """Make the world of a trial; it is the same for all modes.
@@ -115,6 +124,11 @@ class Study(YamlModel):
         if points is None:
             return scenario.sampled()
         return scenario.model_copy(update={"zeta": tuple(points[trial % len(points)].tolist())})
+
+
+def mode_order(mode: str) -> int:
+    """Place of a mode in tables: that of `MODES`, then own controllers."""
+    return (*MODES, mode).index(mode)
 
 
 def trial_seed(seed: int, trial: int) -> int:

@@ -18,7 +18,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from gtmr_model import CHANNELS
-from gtmr_nmpc import MODES
+from gtmr_study.campaign.study import mode_order
 from gtmr_study.campaign.trial import FLOWN, QUANTILE_COLUMNS
 
 CONFIDENCE_Z = 1.959964
@@ -52,8 +52,7 @@ def summarise(trials: pd.DataFrame) -> dict[str, dict[str, Any]]:
     """
     return {
         mode: _summary(trials[trials["mode"] == mode])
-        for mode in MODES
-        if (trials["mode"] == mode).any()
+        for mode in sorted(trials["mode"].unique(), key=mode_order)
     }
 
 
@@ -65,6 +64,7 @@ def _summary(trials: pd.DataFrame) -> dict[str, Any]:
     violations = int(flown["violated"].astype(bool).sum())
     pooled = flown[list(QUANTILE_COLUMNS)].stack()
     median = float(pooled.quantile(0.5))
+    failed = flown["failed_steps"]
     return {
         "trials": n,
         "errors": errors,
@@ -86,7 +86,8 @@ def _summary(trials: pd.DataFrame) -> dict[str, Any]:
             "median": float(flown["solve_ms_median"].median()),
             "p99": float(flown["solve_ms_p99"].median()),
         },
-        "failed_steps": int(flown["failed_steps"].sum()),
+        # Not every controller tells.
+        "failed_steps": None if failed.isna().all() else int(failed.sum()),
     }
 
 

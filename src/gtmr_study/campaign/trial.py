@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from gtmr_model import CHANNELS, Tower
-from gtmr_nmpc import Controller, Mode
-from gtmr_sim import FlightLog, fly
+from gtmr_nmpc import Controller
+from gtmr_sim import FlightLog, StepController, fly
 from gtmr_study.campaign.study import Study
+from gtmr_study.own_controller import OwnController
 
 Row = dict[str, Any]
 
@@ -48,38 +49,19 @@ COLUMNS = (
     "solve_ms_median",
     "solve_ms_p99",
 )
-"""Columns of trials.csv; lengths are rounded to 1e-6 m, percentiles to 1e-4 m."""
+"""Columns of trials.csv; lengths are rounded to 1e-6 m, percentiles to 1e-4 m. ``max_slack_m`` and
+``failed_steps`` are empty for a controller that does not tell."""
 
 
-def fly_trials(study: Study, flights: Sequence[tuple[int, Mode]]) -> list[Row]:
-    """Fly a chunk of a study; this is what a worker runs.
-
-    Parameters
-    ----------
-    study : Study
-        The campaign.
-    flights : sequence of (int, str)
-        Numbers of trials, and modes.
-
-    Returns
-    -------
-    list of dict
-        One row of trials.csv for each.
-    """
-    return [fly_trial(study, trial, mode) for trial, mode in flights]
+def fly_trials(
+    study: Study, flights: Sequence[tuple[int, str]], own: OwnController | None = None
+) -> list[Row]:
+    """Fly a chunk of a study, numbers of trials and modes; this is what a worker runs."""
+    return [fly_trial(study, trial, mode, own) for trial, mode in flights]
 
 
-def fly_trial(study: Study, trial: int, mode: Mode) -> Row:
-    """Fly one trial in one mode.
-
-    Parameters
-    ----------
-    study : Study
-        The campaign.
-    trial : int
-        Number of the trial.
-    mode : str
-        Mode of the controller.
+def fly_trial(study: Study, trial: int, mode: str, own: OwnController | None = None) -> Row:
+    """Fly one trial in one mode, or with an own controller, whose class ``mode`` then names.
 
     Returns
     -------
@@ -91,7 +73,11 @@ def fly_trial(study: Study, trial: int, mode: Mode) -> Row:
         scenario = study.scenario(trial)
         zeta = np.round(scenario.zeta_array, 6).tolist()
         row.update(seed=scenario.seed, **dict(zip(CHANNELS, zeta, strict=True)))
-        controller = Controller(study.controller, mode)
+        controller: StepController = (
+            Controller(study.controller, mode)  # type: ignore[arg-type]
+            if own is None
+            else own.make(study.controller)
+        )
         log = fly(scenario, controller, study.duration_s, study.controller.sampling_time_s)
         row.update(status=FLOWN, **_figures(log, scenario.tower, study.controller.helix.offset_m))
     except Exception as error:
@@ -101,20 +87,8 @@ def fly_trial(study: Study, trial: int, mode: Mode) -> Row:
     return row
 
 
-def empty_row(trial: int, mode: Mode) -> Row:
-    """Make a row that says nothing yet but whose it is.
-
-    Parameters
-    ----------
-    trial : int
-        Number of the trial.
-    mode : str
-        Mode of the controller.
-
-    Returns
-    -------
-    dict
-    """
+def empty_row(trial: int, mode: str) -> Row:
+    """Make a row that says nothing yet but whose it is."""
     return {**dict.fromkeys(COLUMNS, ""), "trial": trial, "mode": mode}
 
 
@@ -133,8 +107,9 @@ def _figures(log: FlightLog, tower: Tower, offset_m: float) -> Row:
         **dict(zip(QUANTILE_COLUMNS, percentiles, strict=True)),
         "residual_max_m": round(highest, 6),
         "radial_rms_m": round(float(np.sqrt(np.mean((log.d_T - offset_m) ** 2))), 6),
-        "max_slack_m": round(float(log.slack.max()), 6),
-        "failed_steps": int(log.failed.sum()),
+        # None leaves the cell empty.
+        "max_slack_m": None if log.max_slack_m is None else round(log.max_slack_m, 6),
+        "failed_steps": log.failed_steps,
         "solve_ms_mean": round(float(log.solve_ms.mean()), 4),
         "solve_ms_median": round(float(median_ms), 4),
         "solve_ms_p99": round(float(p99_ms), 4),

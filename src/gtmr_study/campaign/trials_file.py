@@ -22,8 +22,7 @@ from typing import Any
 
 import pandas as pd
 
-from gtmr_nmpc import MODES, Mode
-from gtmr_study.campaign.study import Study
+from gtmr_study.campaign.study import Study, mode_order
 from gtmr_study.campaign.trial import COLUMNS, Row
 from gtmr_study.result_files import InputError, write_json
 
@@ -206,7 +205,7 @@ class TrialsFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.done: set[tuple[int, Mode]] = set()
+        self.done: set[tuple[int, str]] = set()
         try:
             self._take_up()
         except OSError as error:
@@ -236,7 +235,7 @@ class TrialsFile:
 
         def key(line: str) -> tuple[int, int]:
             trial, mode, _ = line.split(",", 2)
-            return int(trial), MODES.index(mode)
+            return int(trial), mode_order(mode)
 
         part = self.path.with_name(self.path.name + ".part")
         try:
@@ -257,7 +256,7 @@ class TrialsFile:
         header, *rows = csv.reader(content[:whole].decode("utf-8").splitlines())
         if tuple(header) != COLUMNS:
             raise InputError(f"{self.path}: does not have the columns of a campaign")
-        self.done = {(int(row[0]), row[1]) for row in rows}  # type: ignore[misc]
+        self.done = {(int(row[0]), row[1]) for row in rows}
 
     def _write(self, text: str) -> None:
         size = self.path.stat().st_size if self.path.exists() else 0

@@ -25,6 +25,7 @@ from gtmr_sim import GUST_KINDS
 from gtmr_study.campaign.plans import PLAN_KINDS
 from gtmr_study.campaign.study import Study
 from gtmr_study.cli.terminal import complain, console, progress
+from gtmr_study.own_controller import OwnController
 from gtmr_study.result_files import InputError, require_folder_of, write_json
 
 PAPER_SCENARIO = "paper"
@@ -77,7 +78,10 @@ def campaign_command(
     ] = None,
     controller: Annotated[
         str | None,
-        typer.Option(metavar="NAME|YAML", help="Preset or file under config/controller."),
+        typer.Option(
+            metavar="NAME|YAML|FILE.py:CLASS",
+            help="Preset or file under config/controller, or a controller of your own.",
+        ),
     ] = None,
     scenario: Annotated[
         str | None,
@@ -93,6 +97,9 @@ def campaign_command(
     """Fly a Monte-Carlo campaign on Dask; killed and started again, it goes on."""
     _require_one(workers, scheduler)
     require_folder_of("--json", json)
+    own = None if controller is None else OwnController.named("--controller", controller)
+    if own is not None and modes is not None:
+        raise InputError(f"--modes = {modes}: {own.name} has no modes; leave it out")
     study = Study() if scenario is None else Study.load("scenario", scenario)
     study = with_options(
         study,
@@ -100,7 +107,7 @@ def campaign_command(
         seed=seed,
         modes=None if modes is None else modes.split(","),
         duration_s=duration,
-        controller=controller,
+        controller=None if own else controller,
         plan=_changes(
             kind=plan,
             channels=None if channels is None else channels.split(","),
@@ -112,7 +119,7 @@ def campaign_command(
     from gtmr_study.campaign.run import fly_campaign
 
     with _reported_progress() as show:
-        summary = fly_campaign(study, out, workers, scheduler, partial(show, "flights"))
+        summary = fly_campaign(study, out, workers, scheduler, partial(show, "flights"), own)
         write_figures(out)
     write_json(json, summary)
     print_summary(summary)

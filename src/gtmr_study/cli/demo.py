@@ -1,0 +1,120 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+
+"""The command ``gtmr demo``."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gtmr_nmpc import MODES
+from gtmr_study.cli.fly import DurationOption, JsonOption, print_flights, require_duration
+from gtmr_study.cli.terminal import complain, console, needs_ros, progress, require_choice
+from gtmr_study.result_files import (
+    InputError,
+    require_empty_folder,
+    require_folder_of,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from gtmr_study.ros.live import LiveView
+
+
+def demo_command(
+    duration: DurationOption = 50.0,
+    modes: Annotated[
+        str, typer.Option(metavar="MODE,...", help="Which modes to fly, one after the other.")
+    ] = ",".join(MODES),
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Folder of bags and report; new or empty.  [bags/demo-*]"
+        ),
+    ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="Show the flights on a page in the browser.")
+    ] = False,
+    json: JsonOption = None,
+) -> None:
+    """Fly the helix round the tower with three ROS 2 nodes, once a mode; record and report."""
+    require_duration(duration)
+    chosen = modes.split(",")
+    for mode in chosen:
+        require_choice("--modes", mode, MODES)
+    if len(set(chosen)) < len(chosen):
+        raise InputError(f"--modes = {modes!r}: names a mode twice")
+    folder = out if out is not None else Path("bags") / time.strftime("demo-%Y-%m-%d-%H-%M-%S")
+    require_empty_folder("--out", folder)
+    require_folder_of("--json", json)
+    try:
+        from gtmr_study.ros.demo import DemoError, fly_in_ros
+    except ModuleNotFoundError as error:
+        raise needs_ros("the demo", error) from None
+    from gtmr_monitor.bag.flight import read_flight
+    from gtmr_monitor.report.page import write_report
+
+    view = _live_view(duration, chosen) if live else None
+    console.print(
+        "Flying a tilted hexarotor round a tower of 2 m diameter, 0.35 m from its surface, in a "
+        "steady wind with gusts. It must not come closer than 0.20 m. Three processes make up a "
+        "ROS 2 graph: simulator, controller and monitor."
+    )
+    results: dict[str, dict[str, Any]] = {}
+    flights = []
+    for mode in chosen:
+        with progress() as bar:
+            task = bar.add_task(f"{mode}: starting the nodes", total=duration)
+
+            def show(time_s: float, clearance_m: float, mode: str = mode) -> None:
+                text = f"{mode}: {time_s:4.1f} of {duration:g} s, clearance {clearance_m:.2f} m"
+                bar.update(task, completed=time_s, description=text)  # noqa: B023
+
+            try:
+                bag = fly_in_ros(mode, duration, folder / mode, show, view)
+            except DemoError as error:
+                complain(error)
+                raise typer.Exit(1) from None
+        flight = read_flight(bag)
+        flights.append(flight)
+        results[mode] = {
+            **flight.residual_statistics,
+            "solve_ms": flight.solve_statistics,
+            "deadline_misses": flight.deadline_misses,
+            "bag": str(bag),
+        }
+        console.print(f"{mode}: flown {duration:g} s, recorded in {bag}")
+    write_report(flights, folder / "report.html")
+    write_json(json, {"modes": results})
+    print_flights(results)
+    console.print(
+        f"Report:  {folder / 'report.html'} (open it in a browser)\n"
+        f"Bags:    {', '.join(r['bag'] for r in results.values())} "
+        "(Foxglove, or ros2 bag play)\n"
+        "Next:    gtmr fly --help, README.md"
+    )
+    if view is not None and console.is_terminal:
+        with contextlib.suppress(EOFError, KeyboardInterrupt):
+            console.input(f"Live view: {view.page.url} until you press Enter ")
+
+
+def _live_view(duration: float, modes: list[str]) -> LiveView:
+    """Serve the page of the live view, which needs viser."""
+    try:
+        from gtmr_study.ros.live import LiveView
+    except ModuleNotFoundError as error:
+        raise InputError(f"--live needs {error.name}: pip install 'gtmr[live]'") from None
+    view = LiveView(duration, modes)
+    console.print(f"Live view: {view.page.url} (open it in a browser)")
+    return view

@@ -1,0 +1,161 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+
+"""The command ``gtmr fly``, and what it shares with ``gtmr demo``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+
+from gtmr_model import Vehicle
+from gtmr_monitor.residual import residual_statistics, solve_statistics
+from gtmr_nmpc import MODES, Controller, ControllerConfig
+from gtmr_sim import GUST_KINDS, FlightError, GustConfig, Scenario, StepController, fly
+from gtmr_study.cli.terminal import console, progress, require_choice
+from gtmr_study.own_controller import OwnController
+from gtmr_study.result_files import InputError, require_folder_of, require_new_file, write_json
+
+Zeta = tuple[float, float, float, float, float, float, float, float, float]
+
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")
+]
+DurationOption = Annotated[float, typer.Option(metavar="S", help="Length of a flight [s].")]
+
+
+def fly_command(
+    mode: Annotated[
+        str | None, typer.Option(metavar="|".join(MODES), help="Controller.  [robust]")
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="K", help="Seed of gusts and of --sample.")] = 0,
+    duration: DurationOption = 50.0,
+    zeta: Annotated[
+        Zeta | None,
+        typer.Option(
+            metavar="9 NUMBERS",
+            help="True mismatch: mass, J_x, J_y, J_z, thrust, drag [-], wind bias x, y, z [N].",
+        ),
+    ] = None,
+    sample: Annotated[
+        bool, typer.Option("--sample", help="Draw the true mismatch from its bounds by the seed.")
+    ] = False,
+    gust: Annotated[str, typer.Option(metavar="|".join(GUST_KINDS), help="Gusts.")] = "ou",
+    vehicle: Annotated[
+        str | None, typer.Option(metavar="NAME|YAML", help="Preset or file under config/vehicle.")
+    ] = None,
+    controller: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME|YAML|FILE.py:CLASS",
+            help="Preset or file under config/controller, or a controller of your own.",
+        ),
+    ] = "default",
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.npz", help="Write the flight, row by row.")
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Fly one closed loop in this process, without ROS."""
+    require_duration(duration)
+    own = OwnController.named("--controller", controller)
+    if own is not None and mode is not None:
+        raise InputError(f"--mode = {mode}: {own.name} has no modes; leave it out")
+    mode = mode or "robust"
+    require_choice("--mode", mode, MODES)
+    require_choice("--gust", gust, GUST_KINDS)
+    if zeta is not None and sample:
+        raise InputError("--zeta and --sample: give one of them")
+    if out is not None and out.suffix != ".npz":
+        raise InputError(f"--out = {out}: expected a name that ends in .npz")
+    require_new_file("--out", out)
+    require_folder_of("--json", json)
+
+    config = ControllerConfig.load("controller", "default" if own else controller)
+    if vehicle is not None:
+        chosen = Vehicle.load("vehicle", vehicle)
+        config = config.model_copy(update={"vehicle": chosen})
+    scenario = Scenario.parse(
+        {
+            "vehicle": config.vehicle,
+            "tower": config.tower,
+            "helix": config.helix,
+            "uncertainty": config.uncertainty,
+            "gust": GustConfig(kind=gust),
+            "seed": seed,
+            **({} if zeta is None else {"zeta": zeta}),
+        },
+        "flight",
+    )
+    if sample:
+        scenario = scenario.sampled()
+
+    flown: StepController
+    if own is None:
+        flown = Controller(config, mode)  # type: ignore[arg-type]
+    else:
+        flown, mode = own.make(config), own.name
+    steps = round(duration / config.sampling_time_s)
+    with progress() as bar:
+        task = bar.add_task(f"{mode}, {duration:g} s", total=steps)
+
+        def show(step: int) -> None:
+            bar.update(task, completed=step)
+
+        try:
+            log = fly(scenario, flown, duration, config.sampling_time_s, show)
+        except FlightError as error:
+            raise InputError(f"--controller = {controller}: {error}") from None
+    if out is not None:
+        log.save(out)
+    d_min = scenario.tower.min_clearance_m
+    result: dict[str, Any] = {
+        "mode": mode,
+        "seed": seed,
+        "duration_s": duration,
+        "gust": gust,
+        "zeta": list(scenario.zeta),
+        **residual_statistics(d_min - log.d_T, d_min),
+        "solve_ms": solve_statistics(log.solve_ms),
+        "failed_steps": log.failed_steps,
+        "max_slack_m": log.max_slack_m,
+    }
+    write_json(json, result)
+    print_flights({mode: result})
+    if out is not None:
+        console.print(f"Flight: {out}")
+
+
+def require_duration(duration: float) -> None:
+    """Refuse a length of a flight [s] that is none."""
+    if not 0.025 <= duration <= 86400.0:
+        raise InputError(f"--duration = {duration:g}: allowed is 0.025 to 86400 s")
+
+
+def print_flights(results: dict[str, dict[str, Any]]) -> None:
+    """Print flights beside each other, one column a mode."""
+    table = Table("", *results, box=SIMPLE_HEAD)
+    rows = {
+        "least clearance [m]": lambda r: f"{r['min_clearance_m']:.3f}",
+        "clearance violated": lambda r: "yes" if r["violated"] else "no",
+        "residual quartiles [m]": lambda r: ", ".join(
+            f"{r['residual_m'][key]:.3f}" for key in ("q1", "median", "q3")
+        ),
+        "solve time median, p99 [ms]": lambda r: ", ".join(
+            f"{r['solve_ms'][key]:.2f}" for key in ("median", "p99")
+        ),
+    }
+    for name, cell in rows.items():
+        table.add_row(Text(name), *(cell(result) for result in results.values()))
+    console.print(table)
