@@ -26,8 +26,9 @@ from gtmr_model.dynamics import RATE, ROTORS, VELOCITY
 from gtmr_monitor.bag.format import BagError
 from gtmr_monitor.bag.vehicles import read_recording
 from gtmr_monitor.bag.writer import BagWriter
-from gtmr_nmpc import Controller
+from gtmr_nmpc import Controller, ControllerConfig
 from gtmr_study.ros.replay import replay
+from gtmr_study.ros.replay.parameters import RecordedParameters
 from gtmr_study.ros.replay.rotor_speeds import quasi_static_rotor_speeds
 
 START = Helix().initial_state(Tower(), Vehicle.paper())
@@ -207,6 +208,34 @@ def test_a_bag_from_elsewhere_is_answered_and_what_is_guessed_is_said(gtmr, fore
         assert said in run.stdout
     # On the reference, at hover: there is little to correct.
     assert result["replayed"]["largest_foreseen_residual_m"] == pytest.approx(-0.15, abs=0.02)
+
+
+def test_a_recording_begun_late_says_which_parameters_it_guessed(gtmr, tmp_path):
+    out, html = tmp_path / "replay.json", tmp_path / "replay.html"
+    bag = copied(SAMPLE, tmp_path / "bag", leaving_out("/parameter_events"))
+    run = gtmr("replay", bag, "--json", out, "--report", html)
+
+    result = json.loads(out.read_text())
+    guessed = result["guessed_parameters"]
+    assert guessed["mode"] == "robust"
+    assert guessed["vehicle"] == Vehicle.paper().name
+    assert guessed["tower.min_clearance_m"] == 0.2
+    assert set(guessed) >= {"horizon", "weights.yaw", "helix.speed_m_s"}
+    for said in (run.stderr, run.stdout, html.read_text(encoding="utf-8")):
+        assert "tower.min_clearance_m = 0.2" in said
+        assert f"{len(guessed)} parameters of /nmpc are not in the bag" in said
+    assert run.stderr.startswith("gtmr: warning:")
+
+
+def test_only_what_neither_the_bag_nor_an_option_tells_is_guessed(foreign):
+    recording = read_recording(foreign())
+    octo = Vehicle.preset("vehicle", "octo")
+
+    assert "vehicle" not in RecordedParameters(recording, vehicle=octo).guessed
+    assert "horizon" in RecordedParameters(recording, vehicle=octo).guessed
+    assert RecordedParameters(recording, config=ControllerConfig()).guessed == {"mode": "robust"}
+    assert RecordedParameters(recording, "nominal", ControllerConfig()).guessed == {}
+    assert RecordedParameters(read_recording(SAMPLE)).guessed == {}
 
 
 def test_topics_and_rotors_of_other_names_are_found_by_option(foreign):

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from rich.box import SIMPLE_HEAD
@@ -29,9 +29,6 @@ from gtmr_monitor.bag.vehicles import read_recording
 from gtmr_nmpc import MODES, ControllerConfig
 from gtmr_study.cli.terminal import complain, console, needs_ros, progress, require_choice
 from gtmr_study.result_files import InputError, require_folder_of, require_new_file, write_json
-
-if TYPE_CHECKING:
-    from gtmr_monitor.bag.recording import Recording
 
 RATES = (0.01, 100.0)
 """Least and greatest rate of a playback."""
@@ -90,16 +87,18 @@ def replay_command(
 
     with truncation_told():
         recording = read_recording(bag, odom, rotors)
-    config = _config(recording, controller, vehicle)
     with progress() as bar:
         task = bar.add_task("replay", total=None)
         replayed = replay(
             recording,
             mode,  # type: ignore[arg-type]
-            config,
+            None if controller is None else ControllerConfig.load("controller", controller),
+            None if vehicle is None else Vehicle.load("vehicle", vehicle),
             lambda done, total: bar.update(task, completed=done, total=total),
         )
     result = replayed.result()
+    if replayed.guess:
+        complain(f"warning: {bag}: {replayed.guess}")
     if report is not None:
         from gtmr_monitor.report.page import write_report
 
@@ -162,23 +161,6 @@ def play_command(
         signal.signal(signal.SIGINT, before)
     for note in notes:
         complain(note)
-
-
-def _config(
-    recording: Recording, controller: str | None, vehicle: str | None
-) -> ControllerConfig | None:
-    """Choose the problem that the options ask for; None is the recorded one."""
-    from gtmr_study.ros.replay.parameters import RecordedParameters
-
-    if controller is None and vehicle is None:
-        return None
-    if controller is not None:
-        config = ControllerConfig.load("controller", controller)
-    else:
-        config = RecordedParameters(recording).config
-    if vehicle is not None:
-        config = config.model_copy(update={"vehicle": Vehicle.load("vehicle", vehicle)})
-    return config
 
 
 @contextmanager

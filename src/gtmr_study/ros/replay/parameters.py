@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from gtmr_model import ConfigError, YamlModel
+from gtmr_model import ConfigError, Vehicle, YamlModel
 from gtmr_monitor.bag.recording import Recording
 from gtmr_msgs_py.wire import stamps
 from gtmr_nmpc import MODES, ControllerConfig, Mode
@@ -30,6 +30,8 @@ class RecordedParameters:
         To be taken throughout, whatever is recorded.
     config : ControllerConfig, optional
         To be taken throughout, whatever is recorded.
+    vehicle : Vehicle, optional
+        To be taken throughout, in place of that of the problem.
 
     Raises
     ------
@@ -43,22 +45,19 @@ class RecordedParameters:
         recording: Recording,
         mode: Mode | None = None,
         config: ControllerConfig | None = None,
+        vehicle: Vehicle | None = None,
     ) -> None:
         self.source = f"{recording.path}: parameters of {recording.node}"
         """What to name in errors."""
-        self._mode, self._config = mode, config
+        self._mode, self._config, self._vehicle = mode, config, vehicle
         self._changes = recording.controller_changes
         self._values: dict[str, Any] = {}
         for change in self._changes:
             # What is first heard of late was so from the start.
             self._values = change.values | self._values
-        self.notes = []
-        """What a user should know, one sentence each."""
-        if config is None and not self._values:
-            self.notes.append(f"{recording.node} and its parameters are not in the bag: defaults")
-        if mode is None and "mode" not in self._values:
-            self.notes.append("the controller's mode is not in the bag: robust")
         self._build()
+        self.guessed = self._guessed()
+        """Parameters that neither bag nor caller tells, and the defaults taken for them."""
 
     @property
     def max_stamp_difference_ns(self) -> int:
@@ -93,15 +92,38 @@ class RecordedParameters:
         return True
 
     def _build(self) -> None:
-        self.config = self._config or ControllerConfig.parse(
+        config = self._config or ControllerConfig.parse(
             _nested(self._values, ControllerConfig), self.source
         )
+        if self._vehicle is not None:
+            config = config.model_copy(update={"vehicle": self._vehicle})
+        self.config = config
         """The problem now; parameters that are not recorded have their defaults."""
         mode = self._mode or self._values.get("mode", "robust")
         if mode not in MODES:
             raise ConfigError(f"{self.source}: mode = {mode!r}: allowed is {' or '.join(MODES)}")
         self.mode: Mode = mode
         """The controller's mode now."""
+
+    def _guessed(self) -> dict[str, Any]:
+        taken: dict[str, Any] = {} if self._mode else {"mode": self.mode}
+        if self._config is None:
+            taken |= _flat(self.config.model_dump(mode="json", exclude={"vehicle"}))
+            taken |= {} if self._vehicle else {"vehicle": self.config.vehicle.name}
+        return {
+            name: value
+            for name, value in taken.items()
+            if not any(f"{told}.".startswith(f"{name}.") for told in self._values)
+        }
+
+
+def _flat(data: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """Name the fields of a model with dots, as the node does."""
+    flat: dict[str, Any] = {}
+    for field, value in data.items():
+        name = above + field
+        flat |= _flat(value, f"{name}.") if isinstance(value, dict) else {name: value}
+    return flat
 
 
 def _nested(values: Mapping[str, Any], model: type[YamlModel], above: str = "") -> dict[str, Any]:

@@ -73,8 +73,26 @@ class Replay:
     """The problem at the first step."""
     steps: list[Step]
     """In order; at least one."""
-    notes: list[str]
-    """What a user should know, one sentence each."""
+    guessed: dict[str, Any]
+    """Controller parameters that the bag does not tell, and the defaults that were taken."""
+    remarks: list[str]
+    """What else a user should know, one sentence each."""
+
+    @property
+    def guess(self) -> str | None:
+        """What was guessed of the parameters, in one sentence; None if nothing was."""
+        if not self.guessed:
+            return None
+        taken = ", ".join(f"{name} = {value}" for name, value in self.guessed.items())
+        return (
+            f"{len(self.guessed)} parameters of {self.recording.node} are not in the bag; these "
+            f"defaults are a guess: {taken}"
+        )
+
+    @property
+    def notes(self) -> list[str]:
+        """What a user should know, one sentence each."""
+        return [*([self.guess] if self.guess else []), *self.remarks]
 
     @property
     def modes(self) -> tuple[tuple[float, Mode], ...]:
@@ -146,6 +164,7 @@ class Replay:
                 "solve_ms": solve_statistics([1e3 * step.solve_s for step in self.steps]),
             },
             "rotor_speeds": dict(Counter(step.rotor_source for step in self.steps)),
+            "guessed_parameters": self.guessed,
             "late_messages": self.recording.late,
             "notes": self.notes,
         }
@@ -166,7 +185,7 @@ class Replay:
             helix=self.config.helix,
             predictions=self._predictions(),
             replayed=True,
-            notes=(),
+            notes=(self.guess,) if self.guess else (),
         )
         return [self.flown, replayed]
 

@@ -16,6 +16,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from gtmr_model import Vehicle
 from gtmr_model.dynamics import POSITION
 from gtmr_monitor.bag.format import BagError
 from gtmr_monitor.bag.recording import Recorded, Recording
@@ -39,6 +40,7 @@ def replay(
     recording: Recording,
     mode: Mode | None = None,
     config: ControllerConfig | None = None,
+    vehicle: Vehicle | None = None,
     on_step: OnStep | None = None,
 ) -> Replay:
     """Run the controller on recorded odometry and rotor speeds.
@@ -55,6 +57,8 @@ def replay(
         Controller mode throughout; if left out, as recorded, or robust if that is not recorded.
     config : ControllerConfig, optional
         Another problem than the recorded one, throughout.
+    vehicle : Vehicle, optional
+        Another vehicle than the recorded one, or than that of ``config``.
     on_step : callable, optional
         Called after every step.
 
@@ -69,9 +73,9 @@ def replay(
     BagError
         If no recorded command answers an odometry of the bag.
     """
-    parameters = RecordedParameters(recording, mode, config)
+    parameters = RecordedParameters(recording, mode, config, vehicle)
     first = parameters.config
-    notes = [*recording.notes, *parameters.notes]
+    notes = list(recording.notes)
     states = usable_states(recording, notes)
     occasions = _occasions(recording, states, notes)
     # The time of somebody else's flight has nothing to do with that of the reference.
@@ -96,7 +100,7 @@ def replay(
         if on_step is not None:
             on_step(k, len(occasions))
     notes += _remarks(recording, steps, speeds)
-    return Replay(recording, first, steps, notes)
+    return Replay(recording, first, steps, parameters.guessed, notes)
 
 
 def _occasions(
