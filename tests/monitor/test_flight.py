@@ -92,3 +92,39 @@ def test_a_bag_of_several_vehicles_asks_which_one(tmp_path):
     with pytest.raises(BagError, match="several vehicles, name one: /a, /b"):
         read_flight(bag)
     assert read_flight(bag, "/b").t.size == 50
+
+
+def test_a_report_shows_all_vehicles_of_a_bag_or_the_one_named(gtmr, tmp_path):
+    bag = flown(tmp_path / "both", ("/a/odom", samples()), ("/b/odom", samples(50, ())))
+
+    all_of_it = gtmr("report", bag, "--out", tmp_path / "all.html")
+    one = gtmr("report", bag, "--vehicle", "b", "--out", tmp_path / "one.html")
+
+    assert (all_of_it.returncode, one.returncode) == (0, 0), all_of_it.stderr + one.stderr
+    text = (tmp_path / "all.html").read_text(encoding="utf-8")
+    assert "unknown (both/a)" in text
+    assert "unknown (both/b)" in text
+    text = (tmp_path / "one.html").read_text(encoding="utf-8")
+    assert "unknown (both/a)" not in text
+    assert "unknown (both/b)" in text
+
+
+def test_a_vehicle_that_is_not_in_the_bag_is_refused_by_name(refused, tmp_path):
+    bag = flown(tmp_path / "both", ("/odom", samples()), ("/b/odom", samples()))
+
+    message = refused("report", bag, "--vehicle", "hex9", "--out", tmp_path / "r.html")
+
+    assert "'hex9'" in message
+    assert "allowed is /b, /" in message
+
+
+def test_a_report_tells_of_messages_out_of_order(gtmr, tmp_path):
+    bag = flown(tmp_path / "bag", ("/odom", late(samples(), 60)))
+
+    run = gtmr("report", bag, "--out", tmp_path / "report.html")
+
+    said = "1 of 100 odom messages came late"
+    assert said in run.stderr
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert said in text
+    assert "<strong>0.100</strong>" in text

@@ -62,6 +62,8 @@ def report_command(
 
     require_new_file("--out", out)
     if any(is_campaign(path) for path in paths):
+        if vehicle is not None:
+            raise InputError(f"--vehicle = {vehicle!r}: allowed with bags, not with campaigns")
         from gtmr_study.campaign.report import write_campaign_report
 
         written = write_campaign_report(paths, out)
