@@ -22,8 +22,8 @@ from gtmr_study.cli.demo import demo_command
 from gtmr_study.cli.export import export_c_command
 from gtmr_study.cli.fly import fly_command
 from gtmr_study.cli.replay import play_command, replay_command, truncation_told
-from gtmr_study.cli.terminal import console, exit_code_of
-from gtmr_study.result_files import require_new_file
+from gtmr_study.cli.terminal import complain, console, exit_code_of
+from gtmr_study.result_files import InputError, require_new_file
 
 app = typer.Typer(
     help="Close-proximity tower inspection with a tilted multirotor: nominal and robust NMPC.",
