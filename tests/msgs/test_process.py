@@ -8,11 +8,16 @@
 
 """A node as a process ends cleanly however an interruption reaches it."""
 
+import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+
+ROOT = Path(__file__).parents[2]
+SCRIPTS, SOURCES = ROOT / "scripts", ROOT / "src"
 
 RUN = """
 import sys
@@ -46,6 +51,56 @@ def test_a_defect_is_not_taken_for_an_interruption():
     run = ended("raise SystemError('lost') from ValueError()")
     assert run.returncode == 1
     assert "lost" in run.stderr
+
+
+EXECUTABLE = [sys.executable, "-m", "gtmr_msgs_py.start.executable"]
+
+
+def started(*command, **options):
+    return subprocess.run(
+        [str(part) for part in command],
+        capture_output=True, text=True, timeout=60, check=False, **options,
+    )  # fmt: skip
+
+
+def test_help_says_what_a_node_does_and_how_to_call_it():
+    run = started(*EXECUTABLE, "gtmr_sim.node", "lib/gtmr/sim", "--help")
+    assert (run.returncode, run.stderr) == (0, "")
+    assert run.stdout.startswith("usage: sim [-h] [--managed] [--ros-args")
+    assert "Flies a scenario" in run.stdout
+
+
+@pytest.mark.parametrize("argument", ["--no-such", "mode:=robust"])
+def test_an_argument_that_does_not_exist_is_refused(argument):
+    run = started(*EXECUTABLE, "gtmr_nmpc.node", "nmpc", argument, "--ros-args", "-p", "seed:=1")
+    assert run.returncode == 2
+    assert run.stderr.splitlines()[-1] == f"nmpc: error: unrecognized arguments: {argument}"
+
+
+def test_a_node_without_its_dependencies_says_what_to_do(tmp_path):
+    script = SCRIPTS / "monitor"
+    (tmp_path / "pydantic.py").write_text(
+        "raise ModuleNotFoundError(\"No module named 'pydantic'\")"
+    )
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    run = started(script, env=os.environ | {"PYTHONPATH": f"{tmp_path}:{SOURCES}", "PATH": path})
+    assert (run.returncode, run.stdout) == (1, "")
+    (line,) = run.stderr.splitlines()
+    assert line.startswith("error: No module named 'pydantic' in ")
+    assert ".venv/bin/activate" in line
+
+
+def test_a_signal_during_the_imports_is_a_clean_end(tmp_path):
+    (tmp_path / "slow.py").write_text("print('here', flush=True)\nimport time\ntime.sleep(60)\n")
+    with subprocess.Popen(
+        [*EXECUTABLE, "slow", "slow"],
+        env=os.environ | {"PYTHONPATH": f"{tmp_path}:{SOURCES}"},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as node:  # fmt: skip
+        assert node.stdout.readline() == "here\n"
+        node.send_signal(signal.SIGINT)
+        _, error = node.communicate(timeout=20)
+    assert (node.returncode, error) == (0, "")
 
 
 BUSY = """

@@ -13,6 +13,7 @@ from __future__ import annotations
 import gc
 import signal
 import sys
+from argparse import ArgumentParser
 from collections.abc import Callable
 
 import rclpy
@@ -64,7 +65,14 @@ def run(
     -------
     int
         Exit code: 0 after SIGINT, SIGTERM or the node's own end, 2 for bad input.
+
+    Raises
+    ------
+    SystemExit
+        With ``--help``, and for an argument that does not exist.
     """
+    command_line = sys.argv[1:] if args is None else args
+    managed = _is_managed(make_node, command_line)
     try:
         # rclpy's own handlers close the context under a callback, and interrupt it.
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
@@ -75,8 +83,6 @@ def run(
     node = None
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        command_line = sys.argv if args is None else args
-        managed = MANAGED in command_line
         node = make_node(managed)
         refuse_unknown_names(node, command_line)
         if not managed:
@@ -102,6 +108,27 @@ def run(
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _is_managed(make_node: Callable[[bool], SuiteNode], args: list[str]) -> bool:
+    """Read what is no ROS argument; neither is a remap without ``--ros-args``, which rcl takes.
+
+    ``mode:=robust`` is meant for `ros2 launch`, and would rename a topic here.
+    """
+    own, ros = [], False
+    for argument in args:
+        if argument == "--ros-args" or (ros and argument == "--"):
+            ros = argument == "--ros-args"
+        elif not ros:
+            own.append(argument)
+    parser = ArgumentParser(
+        allow_abbrev=False,
+        description=(make_node.__doc__ or "").partition("\n")[0],
+        usage="%(prog)s [-h] [--managed] [--ros-args [-p NAME:=VALUE] [--params-file FILE] ...]",
+        epilog="`ros2 param list` names the parameters; config/parameters.yaml has every default.",
+    )
+    parser.add_argument(MANAGED, action="store_true", help="wait for lifecycle services to start")
+    return bool(parser.parse_args(own).managed)
 
 
 def _spin(node: SuiteNode, executor: Executor) -> None:
