@@ -231,10 +231,6 @@ def fastest_iteration(config: ControllerConfig) -> Iteration:
     ----------
     config : ControllerConfig
         The problem.
-
-    Returns
-    -------
-    Iteration
     """
     try:
         return CompiledIteration(config)

@@ -150,10 +150,6 @@ def horizon_reference(config: ControllerConfig, t: float) -> HorizonReference:
         Helix, tower, horizon.
     t : float
         Time of stage 0 [s].
-
-    Returns
-    -------
-    HorizonReference
     """
     times = t + config.sampling_time_s * np.arange(config.horizon + 1)
     helix = config.helix.at(times, config.tower)

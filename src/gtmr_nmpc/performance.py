@@ -112,10 +112,6 @@ class Performance:
         ----------
         status : str
             As in ``Solution.status``.
-
-        Returns
-        -------
-        int
         """
         return Counter(self._statuses)[status]
 

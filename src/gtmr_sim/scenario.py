@@ -96,10 +96,6 @@ class Scenario(YamlModel):
         ----------
         purpose : str
             ``zeta`` or ``gust``.
-
-        Returns
-        -------
-        numpy.random.Generator
         """
         return np.random.default_rng([self.seed, {"zeta": 0, "gust": 1}[purpose]])
 

@@ -39,10 +39,6 @@ def without_tail(data: bytes, msgtype: str) -> bytes:
         A message in CDR, little-endian.
     msgtype : str
         For example ``rcl_interfaces/msg/ParameterEvent``.
-
-    Returns
-    -------
-    bytes
     """
     definition = typestore().get_msgdef(msgtype)
     _, end = definition.deserialize_cdr_le(data[4:], 0, definition.cls, typestore())

@@ -138,10 +138,6 @@ def is_whole(path: str | Path) -> bool:
     path : str or pathlib.Path
         A bag.
 
-    Returns
-    -------
-    bool
-
     Raises
     ------
     BagError

@@ -61,10 +61,6 @@ def new_figure(width_in: float, height_in: float) -> Figure:
         Width [in].
     height_in : float
         Height [in].
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     # Not through pyplot: no global state, no window system.
     figure = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")

@@ -142,10 +142,6 @@ def rotor_colour(rotor: int) -> str:
     ----------
     rotor : int
         Number of the rotor, from 0.
-
-    Returns
-    -------
-    str
     """
     return _ROTOR_COLOURS[rotor % len(_ROTOR_COLOURS)]
 
@@ -177,10 +173,6 @@ def tightened(flown: Sequence[tuple[Flight, Line]]) -> list[tuple[Flight, Line]]
     ----------
     flown : sequence of (Flight, Line)
         The flights of a report.
-
-    Returns
-    -------
-    list of (Flight, Line)
     """
     return [(flight, line) for flight, line in flown if flight.margins.total.any()]
 

@@ -54,9 +54,5 @@ def encode_residual(residual_m: float) -> Float64:
     ----------
     residual_m : float
         s = d_min - d_T [m].
-
-    Returns
-    -------
-    std_msgs.msg.Float64
     """
     return Float64(data=float(residual_m))

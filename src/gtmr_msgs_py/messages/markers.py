@@ -76,10 +76,6 @@ def encode(stamp_ns: int, markers: Iterable[Marker]) -> MarkerArray:
         [ns].
     markers : iterable of visualization_msgs.msg.Marker
         In the world frame.
-
-    Returns
-    -------
-    visualization_msgs.msg.MarkerArray
     """
     stamped = list(markers)
     for marker in stamped:
@@ -95,10 +91,6 @@ def tower(tower: Tower) -> list[Marker]:
     ----------
     tower : Tower
         On the z axis of the world frame.
-
-    Returns
-    -------
-    list of visualization_msgs.msg.Marker
     """
     radius = tower.radius_m
     return [
@@ -125,10 +117,6 @@ def tightened_shells(
         Planned height by stage, world frame [m].
     mode : str
         ``nominal`` or ``robust``.
-
-    Returns
-    -------
-    list of visualization_msgs.msg.Marker
     """
     color = MODE_COLORS[mode]
     radii = tower.radius_m + tower.min_clearance_m + np.asarray(margins_m, dtype=float)
@@ -155,10 +143,6 @@ def line(namespace: str, positions: ArrayLike, color: Color, width_m: float) -> 
         Of the line.
     width_m : float
         Of the line [m].
-
-    Returns
-    -------
-    visualization_msgs.msg.Marker
     """
     strip = _marker(namespace, 0, Marker.LINE_STRIP, color, (width_m, 0.0, 0.0))
     strip.points = [_point(p) for p in np.asarray(positions, dtype=float)]
@@ -174,10 +158,6 @@ def plan(positions: ArrayLike, mode: str) -> list[Marker]:
         World frame [m].
     mode : str
         ``nominal`` or ``robust``.
-
-    Returns
-    -------
-    list of visualization_msgs.msg.Marker
     """
     return [line("plan", positions, MODE_COLORS[mode], 0.02)]
 
@@ -192,10 +172,6 @@ def vehicle(vehicle: Vehicle, x: ArrayLike) -> list[Marker]:
     x : array_like, shape (6,) or longer
         State [p, eta, ...]: world frame [m], [rad]. Of a whole state, which ends with the rotor
         speeds [Hz], thrust is drawn too, as arrows from the hubs.
-
-    Returns
-    -------
-    list of visualization_msgs.msg.Marker
     """
     state = np.asarray(x, dtype=float)
     position, orientation = state[POSITION], attitude.encode(state[ATTITUDE])

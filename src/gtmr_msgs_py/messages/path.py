@@ -32,10 +32,6 @@ def encode(stamp_ns: int, step_ns: int, positions: ArrayLike, rpy: ArrayLike) ->
         World frame [m].
     rpy : array_like, shape (n, 3)
         Roll, pitch, yaw [rad].
-
-    Returns
-    -------
-    nav_msgs.msg.Path
     """
     msg = Path()
     msg.header.frame_id = MAP

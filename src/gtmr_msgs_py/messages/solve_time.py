@@ -20,9 +20,5 @@ def encode(solve_time_s: float) -> Float64:
     ----------
     solve_time_s : float
         Preparation and feedback together, wall time [s].
-
-    Returns
-    -------
-    std_msgs.msg.Float64
     """
     return Float64(data=float(solve_time_s))

@@ -85,10 +85,6 @@ def decode(msg: Float64MultiArray) -> Tightening:
     msg : std_msgs.msg.Float64MultiArray
         Laid out as ``encode`` does.
 
-    Returns
-    -------
-    Tightening
-
     Raises
     ------
     MessageError

@@ -52,10 +52,6 @@ class Bounds:
         ----------
         constraints : collection
             Of annotated_types; others are passed over.
-
-        Returns
-        -------
-        Bounds
         """
         low: float | None = None
         high: float | None = None
@@ -108,10 +104,6 @@ def declarations(
     dynamic : collection of str
         Names of the parameters that may change while the node runs; the name of a nested model
         stands for all that is in it.
-
-    Returns
-    -------
-    list of Declaration
     """
     return list(_declarations(model, presets or {}, frozenset(dynamic), ()))
 

@@ -73,10 +73,6 @@ def encode(
         Figures by name; names end in their unit.
     hardware_id : str
         Which vehicle.
-
-    Returns
-    -------
-    diagnostic_msgs.msg.DiagnosticArray
     """
     status = DiagnosticStatus(
         name=name,

@@ -203,10 +203,6 @@ def node(
         Namespace below the one that was given.
     on_exit : callable
         What follows its end.
-
-    Returns
-    -------
-    launch_ros.actions.Node
     """
     set_by_argument = {n: v for n, v in given.items() if executable in arguments[n].parameter_of}
     return Node(

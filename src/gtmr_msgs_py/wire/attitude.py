@@ -33,10 +33,6 @@ def encode(rpy: ArrayLike) -> Quaternion:
     ----------
     rpy : array_like, shape (3,)
         Roll, pitch, yaw [rad], of any size.
-
-    Returns
-    -------
-    geometry_msgs.msg.Quaternion
     """
     roll, pitch, yaw = (0.5 * float(angle) for angle in np.asarray(rpy))
     c_r, s_r = math.cos(roll), math.sin(roll)

@@ -58,10 +58,6 @@ def encode(time_ns: int) -> Time:
     ----------
     time_ns : int
         [ns], not negative.
-
-    Returns
-    -------
-    builtin_interfaces.msg.Time
     """
     # Here alone is ROS needed: what reads stamps works without.
     from builtin_interfaces.msg import Time

@@ -62,10 +62,6 @@ def flags(sources: dict[str, str]) -> dict[str, tuple[str, ...]]:
     ----------
     sources : dict of str to str
         From `c_sources`.
-
-    Returns
-    -------
-    dict of str to tuple of str
     """
     return {
         name: GENERATED_FLAGS if name.startswith("model_") else WRITTEN_FLAGS

@@ -62,10 +62,6 @@ def parameters(config: ControllerConfig) -> CParameters:
     ----------
     config : ControllerConfig
         The problem.
-
-    Returns
-    -------
-    CParameters
     """
     tower, vehicle, weights = config.tower, config.vehicle, config.weights
     first_gust_m = margins.gust_margin(config.uncertainty, vehicle, 1, config.sampling_time_s)[1]

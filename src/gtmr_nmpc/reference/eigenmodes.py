@@ -52,10 +52,6 @@ def closed_loop_modes(config: ControllerConfig) -> ClosedLoopModes:
     ----------
     config : ControllerConfig
         The controller; its model is also the plant.
-
-    Returns
-    -------
-    ClosedLoopModes
     """
     loop = _MovingLoop(config)
     x = config.helix.initial_state(config.tower, config.vehicle)

@@ -190,10 +190,6 @@ class RealTimeIteration:
             ``nominal`` or ``robust``.
         margin_scale : float
             Of the margins in robust mode, 0 to 1.
-
-        Returns
-        -------
-        Preparation
         """
         n, n_x, n_u = self.config.horizon, self.config.vehicle.n_x, self.config.vehicle.n_rotors
         robust = mode == "robust"

@@ -219,10 +219,6 @@ def chunked(flights: Flights, duration_s: float) -> Iterator[Flights]:
         Numbers of trials, and modes.
     duration_s : float
         Length of each [s].
-
-    Returns
-    -------
-    iterator of sequence of (int, str)
     """
     size = min(max(1, round(CHUNK_FLIGHT_S / duration_s)), LARGEST_CHUNK)
     return (flights[start : start + size] for start in range(0, len(flights), size))

@@ -54,10 +54,6 @@ class Campaign:
         folder : pathlib.Path
             As `fly_campaign` writes it, finished or not.
 
-        Returns
-        -------
-        Campaign
-
         Raises
         ------
         InputError

@@ -80,10 +80,6 @@ def campaign_section(campaign: Campaign) -> str:
     ----------
     campaign : Campaign
         The results.
-
-    Returns
-    -------
-    str
     """
     summary = campaign.summary
     missing = campaign.study.n_trials * len(campaign.study.flown_modes) - len(campaign.trials)

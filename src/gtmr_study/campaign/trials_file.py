@@ -43,10 +43,6 @@ def is_campaign(folder: Path) -> bool:
     ----------
     folder : pathlib.Path
         Need not exist.
-
-    Returns
-    -------
-    bool
     """
     return (folder / STUDY_FILE).is_file()
 
@@ -58,10 +54,6 @@ def read_study(folder: Path) -> Study:
     ----------
     folder : pathlib.Path
         The folder of a campaign.
-
-    Returns
-    -------
-    Study
 
     Raises
     ------

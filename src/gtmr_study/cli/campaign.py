@@ -233,10 +233,6 @@ def with_options(study: Study, **changes: Any) -> Study:
     **changes
         Fields; None keeps what the study says, and so does what a dict leaves out.
 
-    Returns
-    -------
-    Study
-
     Raises
     ------
     ConfigError

@@ -92,10 +92,6 @@ def fig_1(logs: dict[str, FlightLog], tower: Tower, helix: Helix) -> Figure:
         What was flown round.
     helix : Helix
         What was to be followed.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     figure = new_figure(10.5, 4.0)
     grid = figure.add_gridspec(1, 3, width_ratios=(1.0, 0.9, 1.1))

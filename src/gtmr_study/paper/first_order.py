@@ -114,10 +114,6 @@ def perturbations(study: Study, trials: Sequence[int]) -> Perturbations:
         The campaign; its duration must be longer than two horizons.
     trials : sequence of int
         Numbers of trials.
-
-    Returns
-    -------
-    Perturbations
     """
     return Perturbations.join([_of_trial(study, trial) for trial in trials])
 
@@ -231,10 +227,6 @@ def draw(figures: dict[str, Any]) -> Figure:
     ----------
     figures : dict
         As `quality` makes it.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
     """
     figure = new_figure(9.0, 3.6)
     titles = {"parametric": "Parametric", "gust": "Gust", "both": "Both"}

@@ -81,10 +81,6 @@ def sensitivity_markdown(results: dict[str, Any]) -> str:
     ----------
     results : dict
         Content of reproduction.json, see `reproduce`.
-
-    Returns
-    -------
-    str
     """
     return "\n".join(
         f"## {title}\n\n{text}\n\n{markdown_table(rows)}"
@@ -99,10 +95,6 @@ def one_value_at_a_time(results: dict[str, Any]) -> Table:
     ----------
     results : dict
         Content of reproduction.json, see `reproduce`.
-
-    Returns
-    -------
-    list of list of str
     """
     heads = ["changed"]
     for mode, distance in zip(MODES, ("nominal", "both"), strict=True):
@@ -151,10 +143,6 @@ def alpha_by_speed(results: dict[str, Any]) -> Table:
     ----------
     results : dict
         Content of reproduction.json, see `reproduce`.
-
-    Returns
-    -------
-    list of list of str
     """
     rows = results["alpha_by_helix_speed"]
     return [

@@ -75,10 +75,6 @@ def with_values(values: dict[str, float], base: Study) -> Study:
     base : Study
         All else.
 
-    Returns
-    -------
-    Study
-
     Raises
     ------
     ConfigError

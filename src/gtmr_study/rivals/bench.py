@@ -264,12 +264,7 @@ def _percentiles(seconds: list[float]) -> dict[str, float]:
 
 
 def machine() -> str:
-    """Name the processor that the figures are from.
-
-    Returns
-    -------
-    str
-    """
+    """Name the processor that the figures are from."""
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as info:  # noqa: PTH123
             names = [line.partition(":")[2].strip() for line in info if "model name" in line]

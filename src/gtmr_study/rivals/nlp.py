@@ -120,10 +120,6 @@ class InspectionNlp:
         guess : Plan or None
             Where to start; None for the state held over the horizon.
 
-        Returns
-        -------
-        Plan
-
         Raises
         ------
         RuntimeError
@@ -189,10 +185,6 @@ class InspectionNlp:
             Rotor accelerations [Hz/s].
         slack : NDArray, shape (N,)
             Slack of stages 1..N [m].
-
-        Returns
-        -------
-        float
         """
         if self._cost is None:
             raise ValueError("a condensed program has no states to evaluate its cost at")

@@ -79,10 +79,6 @@ def read_playlist(path: str | Path, everything: bool = False) -> Playlist:
     everything : bool
         Whether to play every topic, for viewers, rather than what the nodes need.
 
-    Returns
-    -------
-    Playlist
-
     Raises
     ------
     BagError

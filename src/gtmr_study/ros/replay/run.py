@@ -62,10 +62,6 @@ def replay(
     on_step : callable, optional
         Called after every step.
 
-    Returns
-    -------
-    Replay
-
     Raises
     ------
     ConfigError
