@@ -53,15 +53,6 @@ def load_library(
     the same library at once. A file in the cache that is not as it was written there, or is not
     the user's own, is never loaded but made again.
 
-    Parameters
-    ----------
-    title : str
-        What it is, for the line on stderr.
-    sources : mapping of str to str
-        Contents of the ``.c`` and ``.h`` files, by name.
-    flags : mapping of str to tuple of str
-        Further flags of each ``.c`` file, by name.
-
     Raises
     ------
     CompileError

@@ -161,11 +161,6 @@ def discrete_step(x: Any, u: Any, zeta: Any, w_g: Any, vehicle: Vehicle, step_s:
 def symbols(vehicle: Vehicle) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
     """Make fresh symbols x, u, zeta, w_g of the right sizes for a vehicle.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Gives the number of rotors.
-
     Returns
     -------
     tuple of casadi.SX

@@ -52,11 +52,6 @@ class UncertaintySet(YamlModel):
     def sample(self, rng: np.random.Generator) -> NDArray[np.float64]:
         """Draw zeta uniformly from the box.
 
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-            Source of randomness.
-
         Returns
         -------
         NDArray, shape (9,)

@@ -27,11 +27,6 @@ class ConfigError(ValueError):
 def describe(error: ValidationError) -> str:
     """Say in one line which fields are wrong, which values they had and what is allowed.
 
-    Parameters
-    ----------
-    error : pydantic.ValidationError
-        What validation of a configuration raised.
-
     Returns
     -------
     str
@@ -62,13 +57,6 @@ class YamlModel(BaseModel):
     @classmethod
     def parse(cls, data: Any, source: str) -> Self:
         """Validate plain data, for example the content of a YAML file.
-
-        Parameters
-        ----------
-        data : Any
-            A mapping from field names to values.
-        source : str
-            Where the data came from, for the error message.
 
         Returns
         -------
@@ -108,11 +96,6 @@ class YamlModel(BaseModel):
     @classmethod
     def from_yaml(cls, path: str | Path) -> Self:
         """Read and validate a YAML file.
-
-        Parameters
-        ----------
-        path : str or pathlib.Path
-            The file.
 
         Returns
         -------

@@ -225,13 +225,7 @@ def _margin_scale(progress: float) -> float:
 
 
 def fastest_iteration(config: ControllerConfig) -> Iteration:
-    """Compile a problem, or interpret it where that cannot be.
-
-    Parameters
-    ----------
-    config : ControllerConfig
-        The problem.
-    """
+    """Compile a problem, or interpret it where that cannot be."""
     try:
         return CompiledIteration(config)
     except CompileError as error:

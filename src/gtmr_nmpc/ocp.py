@@ -48,11 +48,6 @@ N_H = len(OUTPUTS)
 def discrete_dynamics(config: ControllerConfig) -> ca.Function:
     """Discrete dynamics F of eq. (5b): one RK4 step over T_s without gust.
 
-    Parameters
-    ----------
-    config : ControllerConfig
-        Vehicle and sampling time.
-
     Returns
     -------
     casadi.Function
@@ -65,11 +60,6 @@ def discrete_dynamics(config: ControllerConfig) -> ca.Function:
 
 def output_map(config: ControllerConfig) -> ca.Function:
     """Output map h of eq. (6): position, velocity, acceleration, attitude and body rates.
-
-    Parameters
-    ----------
-    config : ControllerConfig
-        Vehicle.
 
     Returns
     -------
@@ -115,11 +105,6 @@ def clearance_curvature(positions: Array, direction: Array) -> Array:
 
 def stage_weights(config: ControllerConfig) -> Array:
     """Diagonal of Q, eq. (6), in the order of `output_map`.
-
-    Parameters
-    ----------
-    config : ControllerConfig
-        Weights.
 
     Returns
     -------

@@ -29,15 +29,6 @@ ACTIVE_SHARE = 0.999
 def standing(solution: Solution, tower: Tower, vehicle: Vehicle) -> dict[str, float | int]:
     """Say where a plan stands against its constraints.
 
-    Parameters
-    ----------
-    solution : Solution
-        One step.
-    tower : Tower
-        What it keeps away from.
-    vehicle : Vehicle
-        Its limits.
-
     Returns
     -------
     dict
@@ -106,13 +97,7 @@ class Performance:
         self.last = solution
 
     def count(self, status: str) -> int:
-        """Count the steps of the window that ended with a status.
-
-        Parameters
-        ----------
-        status : str
-            As in ``Solution.status``.
-        """
+        """Count the steps of the window that ended with a status."""
         return Counter(self._statuses)[status]
 
     @property

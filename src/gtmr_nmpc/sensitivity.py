@@ -49,11 +49,6 @@ def second_order_adjoint(dynamics: ca.Function) -> ca.Function:
     It is how one step's contribution to a margin changes with the plan; summed over the steps it
     gives the gradient of alpha_p without carrying Pi as states.
 
-    Parameters
-    ----------
-    dynamics : casadi.Function
-        (x, u, zeta) -> x_next, on SX.
-
     Returns
     -------
     casadi.Function

@@ -30,11 +30,6 @@ FOOT_M = 0.3048
 def make_gust(scenario: Scenario) -> Gust:
     """Start the gusts of a scenario; the same scenario gives the same gusts.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Kind, size and seed.
-
     Returns
     -------
     Gust
@@ -59,13 +54,6 @@ def make_gust(scenario: Scenario) -> Gust:
 
 def ornstein_uhlenbeck(std: float, correlation_time_s: float) -> tuple[Array, Array, Array]:
     """Shaping filter of an Ornstein-Uhlenbeck process.
-
-    Parameters
-    ----------
-    std : float
-        Stationary standard deviation.
-    correlation_time_s : float
-        Time in which the autocorrelation falls to 1/e [s].
 
     Returns
     -------

@@ -90,13 +90,7 @@ class Scenario(YamlModel):
         return self.model_copy(update={"zeta": tuple(zeta.tolist())})
 
     def rng(self, purpose: Literal["zeta", "gust"]) -> np.random.Generator:
-        """Random numbers of this seed for one purpose, independent of the other purpose.
-
-        Parameters
-        ----------
-        purpose : str
-            ``zeta`` or ``gust``.
-        """
+        """Random numbers of this seed for one purpose, independent of the other purpose."""
         return np.random.default_rng([self.seed, {"zeta": 0, "gust": 1}[purpose]])
 
     @property

@@ -63,13 +63,7 @@ class Session:
         """How many sampling times passed without a command for them."""
 
     def reconfigure(self, scenario: Scenario) -> None:
-        """Fly on in another scenario.
-
-        Parameters
-        ----------
-        scenario : Scenario
-            Of the same vehicle, helix and time steps.
-        """
+        """Fly on in another scenario."""
         self._simulation.reconfigure(scenario)
 
     def reset(self) -> None:

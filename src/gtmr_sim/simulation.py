@@ -58,11 +58,6 @@ class Simulation:
 
         The next gust sample is the first of the new gusts, which begin with the seed. What the
         flight began with, such as its vehicle, stays.
-
-        Parameters
-        ----------
-        scenario : Scenario
-            Of the same vehicle, helix and time steps.
         """
         old, self.scenario = self.scenario, scenario
         self.plant.zeta = scenario.zeta_array
@@ -103,13 +98,7 @@ class Simulation:
         self._plan_start = round(stamp_s / self.scenario.step_s)
 
     def advance(self, duration_s: float) -> None:
-        """Fly on, playing the plan.
-
-        Parameters
-        ----------
-        duration_s : float
-            How long; a multiple of the plant's step [s].
-        """
+        """Fly on, playing the plan."""
         end = self._step + self._steps("duration_s", duration_s)
         while self._step < end:
             into_plan = (self._step - self._plan_start) % self._plan_step

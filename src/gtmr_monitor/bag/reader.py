@@ -133,11 +133,6 @@ def read_messages(path: str | Path) -> Iterator[BagMessage]:
 def is_whole(path: str | Path) -> bool:
     """Say whether every file of a bag was closed by its writer.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        A bag.
-
     Raises
     ------
     BagError

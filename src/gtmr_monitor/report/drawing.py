@@ -53,15 +53,7 @@ Draw = Callable[[], Figure]
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """Make an empty figure.
-
-    Parameters
-    ----------
-    width_in : float
-        Width [in].
-    height_in : float
-        Height [in].
-    """
+    """Make an empty figure."""
     # Not through pyplot: no global state, no window system.
     figure = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
@@ -70,15 +62,6 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 def save(draw: Draw, stem: Path, formats: Sequence[str] = ("png", "pdf")) -> list[Path]:
     """Draw a figure into files.
-
-    Parameters
-    ----------
-    draw : callable
-        Makes the figure.
-    stem : pathlib.Path
-        Where to, without the ending.
-    formats : sequence of str
-        Endings.
 
     Returns
     -------
@@ -95,11 +78,6 @@ def save(draw: Draw, stem: Path, formats: Sequence[str] = ("png", "pdf")) -> lis
 
 def inline_svg(draw: Draw) -> str:
     """Draw a figure as an element of an HTML page.
-
-    Parameters
-    ----------
-    draw : callable
-        Makes the figure.
 
     Returns
     -------

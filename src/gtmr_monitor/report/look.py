@@ -88,11 +88,6 @@ class Line:
 def lines(flights: Sequence[Flight]) -> list[Line]:
     """Give every flight its label, colour and dash.
 
-    Parameters
-    ----------
-    flights : sequence of Flight
-        The flights of a report.
-
     Returns
     -------
     list of Line
@@ -120,11 +115,6 @@ def lines(flights: Sequence[Flight]) -> list[Line]:
 def margin_parts(margins: MarginHistory) -> dict[str, NDArray[np.float64]]:
     """Split the total margin into its parts, in the order in which they are stacked.
 
-    Parameters
-    ----------
-    margins : MarginHistory
-        Of M controller steps.
-
     Returns
     -------
     dict from str to NDArray, shape (M, N + 1)
@@ -136,23 +126,12 @@ def margin_parts(margins: MarginHistory) -> dict[str, NDArray[np.float64]]:
 
 
 def rotor_colour(rotor: int) -> str:
-    """Colour of a rotor's line.
-
-    Parameters
-    ----------
-    rotor : int
-        Number of the rotor, from 0.
-    """
+    """Colour of a rotor's line."""
     return _ROTOR_COLOURS[rotor % len(_ROTOR_COLOURS)]
 
 
 def solve_time_bins(flights: Sequence[Flight]) -> NDArray[np.float64]:
     """Edges of the histogram of solve times, evenly spread on a logarithmic scale.
-
-    Parameters
-    ----------
-    flights : sequence of Flight
-        Those with solve times.
 
     Returns
     -------
@@ -167,23 +146,12 @@ def solve_time_bins(flights: Sequence[Flight]) -> NDArray[np.float64]:
 
 
 def tightened(flown: Sequence[tuple[Flight, Line]]) -> list[tuple[Flight, Line]]:
-    """Pick the flights in which the clearance constraint was tightened.
-
-    Parameters
-    ----------
-    flown : sequence of (Flight, Line)
-        The flights of a report.
-    """
+    """Pick the flights in which the clearance constraint was tightened."""
     return [(flight, line) for flight, line in flown if flight.margins.total.any()]
 
 
 def moved(flown: Sequence[tuple[Flight, Line]]) -> list[tuple[Flight, Line]]:
     """Pick the flights that were flown: the motion of a replayed one is that of another.
-
-    Parameters
-    ----------
-    flown : sequence of (Flight, Line)
-        The flights of a report.
 
     Returns
     -------
@@ -195,11 +163,6 @@ def moved(flown: Sequence[tuple[Flight, Line]]) -> list[tuple[Flight, Line]]:
 
 def residual_range(flights: Sequence[Flight]) -> tuple[float, float]:
     """Limits of an axis for residuals, with room for words above the safety line.
-
-    Parameters
-    ----------
-    flights : sequence of Flight
-        What is drawn.
 
     Returns
     -------

@@ -48,11 +48,5 @@ def encode(stamp_ns: int, clearance_m: float, min_clearance_m: float) -> Range:
 
 
 def encode_residual(residual_m: float) -> Float64:
-    """Make the message of a clearance residual.
-
-    Parameters
-    ----------
-    residual_m : float
-        s = d_min - d_T [m].
-    """
+    """Make the message of a clearance residual."""
     return Float64(data=float(residual_m))

@@ -14,11 +14,5 @@ from std_msgs.msg import Float64
 
 
 def encode(solve_time_s: float) -> Float64:
-    """Make the message of a solve time.
-
-    Parameters
-    ----------
-    solve_time_s : float
-        Preparation and feedback together, wall time [s].
-    """
+    """Make the message of a solve time."""
     return Float64(data=float(solve_time_s))

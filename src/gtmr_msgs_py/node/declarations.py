@@ -46,13 +46,7 @@ class Bounds:
 
     @classmethod
     def of(cls, constraints: Collection[Any]) -> Bounds:
-        """Collect the bounds among the constraints that pydantic keeps of a field.
-
-        Parameters
-        ----------
-        constraints : collection
-            Of annotated_types; others are passed over.
-        """
+        """Collect the bounds among the constraints that pydantic keeps of a field."""
         low: float | None = None
         high: float | None = None
         words = []

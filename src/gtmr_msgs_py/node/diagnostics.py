@@ -36,11 +36,6 @@ class Level(IntEnum):
 def source(node: Node) -> str:
     """Say who is speaking, as viewers group statuses by the part of their name before the colon.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Who publishes.
-
     Returns
     -------
     str
@@ -88,11 +83,6 @@ def encode(
 
 def decode(status: DiagnosticStatus) -> dict[str, Value]:
     """Read the figures of a status.
-
-    Parameters
-    ----------
-    status : diagnostic_msgs.msg.DiagnosticStatus
-        From any node.
 
     Returns
     -------

@@ -34,13 +34,6 @@ def refuse_unknown_names(node: Node, args: Sequence[str]) -> None:
     A section of a file for any node, such as ``/**``, may name parameters of another node of the
     suite; what is given to this node alone may not.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Of the suite.
-    args : sequence of str
-        Its command line.
-
     Raises
     ------
     ConfigError

@@ -42,17 +42,7 @@ OnMessage = Callable[..., None]
 
 
 def listen(node: Node, topic: Topic, on_message: OnMessage) -> None:
-    """Listen so that nothing is lost, or so well as a publisher that is not ours allows.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Who listens.
-    topic : Topic
-        To what.
-    on_message : callable
-        Gets every message.
-    """
+    """Listen so that nothing is lost, or so well as a publisher that is not ours allows."""
 
     def ask_for_less() -> None:
         # A best-effort subscription gets what either kind of publisher sends.
@@ -69,13 +59,7 @@ def listen(node: Node, topic: Topic, on_message: OnMessage) -> None:
 
 
 def take_what_arrived(node: Node) -> None:
-    """Hand on, at the end, the messages that came but that nobody has been told of.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        All whose subscriptions were made by `listen`.
-    """
+    """Hand on, at the end, the messages that came but that nobody has been told of."""
     for subscription in node.subscriptions:
         with subscription.handle:
             while taken := subscription.handle.take_message(
@@ -86,11 +70,6 @@ def take_what_arrived(node: Node) -> None:
 
 def received_ns(info: Info) -> int:
     """Say when a message came, as callbacks may have to wait.
-
-    Parameters
-    ----------
-    info : mapping
-        What the middleware tells of it.
 
     Returns
     -------

@@ -31,11 +31,6 @@ PARAMETER_EVENTS = Topic.of(contract.PARAMETER_EVENTS, qos_profile_parameter_eve
 def own_parameters(node: Node) -> ParameterEvent:
     """Make an event of all parameters of a node.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Whose parameters.
-
     Returns
     -------
     rcl_interfaces.msg.ParameterEvent

@@ -22,11 +22,6 @@ NANOSECONDS = 1_000_000_000
 def nanoseconds(time_s: float) -> int:
     """Round seconds to whole nanoseconds.
 
-    Parameters
-    ----------
-    time_s : float
-        [s].
-
     Returns
     -------
     int
@@ -37,11 +32,6 @@ def nanoseconds(time_s: float) -> int:
 
 def seconds(time_ns: int) -> float:
     """Give the float nearest to a number of nanoseconds.
-
-    Parameters
-    ----------
-    time_ns : int
-        [ns].
 
     Returns
     -------
@@ -68,11 +58,6 @@ def encode(time_ns: int) -> Time:
 
 def decode(stamp: Time | Duration) -> int:
     """Read a stamp or a duration.
-
-    Parameters
-    ----------
-    stamp : builtin_interfaces.msg.Time or builtin_interfaces.msg.Duration
-        Part of a message.
 
     Returns
     -------

@@ -36,11 +36,6 @@ def c_sources(config: ControllerConfig) -> dict[str, str]:
     They depend on the vehicle's dynamics, the kind of reference, T_s and N alone; all else is in
     ``gtmr_parameters``.
 
-    Parameters
-    ----------
-    config : ControllerConfig
-        The problem.
-
     Returns
     -------
     dict of str to str
@@ -56,13 +51,7 @@ def c_sources(config: ControllerConfig) -> dict[str, str]:
 
 
 def flags(sources: dict[str, str]) -> dict[str, tuple[str, ...]]:
-    """Compiler flags of each ``.c`` file.
-
-    Parameters
-    ----------
-    sources : dict of str to str
-        From `c_sources`.
-    """
+    """Compiler flags of each ``.c`` file."""
     return {
         name: GENERATED_FLAGS if name.startswith("model_") else WRITTEN_FLAGS
         for name in sources

@@ -56,13 +56,7 @@ class CParameters(ctypes.Structure):
 
 
 def parameters(config: ControllerConfig) -> CParameters:
-    """All that the compiled controller takes from a problem at run time.
-
-    Parameters
-    ----------
-    config : ControllerConfig
-        The problem.
-    """
+    """All that the compiled controller takes from a problem at run time."""
     tower, vehicle, weights = config.tower, config.vehicle, config.weights
     first_gust_m = margins.gust_margin(config.uncertainty, vehicle, 1, config.sampling_time_s)[1]
     return CParameters(

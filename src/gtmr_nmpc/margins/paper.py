@@ -85,17 +85,6 @@ def gust_margin(
 ) -> Array:
     """Gust margin alpha_g,i = 1/2 (w_bar_g / m_min) (i T_s)^2, eq. (13).
 
-    Parameters
-    ----------
-    uncertainty : UncertaintySet
-        Bounds on gust and mass.
-    vehicle : Vehicle
-        Nominal mass.
-    horizon : int
-        N.
-    sampling_time_s : float
-        T_s [s].
-
     Returns
     -------
     NDArray, shape (N + 1,)

@@ -46,13 +46,7 @@ class ClosedLoopModes:
 
 
 def closed_loop_modes(config: ControllerConfig) -> ClosedLoopModes:
-    """Linearise the closed loop about its steady flight by central differences.
-
-    Parameters
-    ----------
-    config : ControllerConfig
-        The controller; its model is also the plant.
-    """
+    """Linearise the closed loop about its steady flight by central differences."""
     loop = _MovingLoop(config)
     x = config.helix.initial_state(config.tower, config.vehicle)
     for _ in range(4):

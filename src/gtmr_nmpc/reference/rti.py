@@ -146,11 +146,6 @@ class RealTimeIteration:
     def sensitivities(self, iterate: Trajectory) -> Array:
         """Pi along an iterate, eq. (8).
 
-        Parameters
-        ----------
-        iterate : Trajectory
-            States and inputs.
-
         Returns
         -------
         NDArray, shape (N + 1, 12 + N_p, 9)
@@ -160,11 +155,6 @@ class RealTimeIteration:
 
     def margin_gradient(self, iterate: Trajectory) -> tuple[Array, Array]:
         """Gradient of alpha_p along an iterate, away from sign changes of Pi_y.
-
-        Parameters
-        ----------
-        iterate : Trajectory
-            States and inputs.
 
         Returns
         -------

@@ -87,11 +87,6 @@ def _deaf_to_interrupts() -> Iterator[None]:
 def remote_workers(scheduler: str) -> Iterator[Client]:
     """Connect to a running Dask scheduler.
 
-    Parameters
-    ----------
-    scheduler : str
-        Its address.
-
     Yields
     ------
     distributed.Client
@@ -184,17 +179,6 @@ def run_chunks(
 ) -> Iterator[tuple[Chunk, Result | BaseException]]:
     """Run a function of a study and a chunk on workers.
 
-    Parameters
-    ----------
-    client : distributed.Client
-        The workers.
-    function : callable
-        Importable on the workers.
-    study : Study
-        Its first argument.
-    chunks : sequence
-        Its second arguments.
-
     Yields
     ------
     tuple
@@ -211,15 +195,7 @@ def run_chunks(
 
 
 def chunked(flights: Flights, duration_s: float) -> Iterator[Flights]:
-    """Cut a campaign into the pieces that are handed out.
-
-    Parameters
-    ----------
-    flights : sequence of (int, str)
-        Numbers of trials, and modes.
-    duration_s : float
-        Length of each [s].
-    """
+    """Cut a campaign into the pieces that are handed out."""
     size = min(max(1, round(CHUNK_FLIGHT_S / duration_s)), LARGEST_CHUNK)
     return (flights[start : start + size] for start in range(0, len(flights), size))
 

@@ -256,11 +256,6 @@ def figures_of(campaign: Campaign) -> dict[str, Callable[[], Figure]]:
 def write_figures(folder: Path) -> list[Path]:
     """Draw every figure of a campaign into its folder, as PNG and PDF.
 
-    Parameters
-    ----------
-    folder : pathlib.Path
-        The folder of a campaign.
-
     Returns
     -------
     list of pathlib.Path

@@ -39,13 +39,6 @@ Value = Callable[[dict[str, Any]], str]
 def write_campaign_report(folders: Sequence[Path], out_html: Path) -> list[Path]:
     """Write a report on campaigns, one below the other.
 
-    Parameters
-    ----------
-    folders : sequence of pathlib.Path
-        Folders of campaigns.
-    out_html : pathlib.Path
-        The file; figures go beside it as ``<stem>-<figure>.png``.
-
     Returns
     -------
     list of pathlib.Path
@@ -74,13 +67,7 @@ def _write_figures(campaigns: Sequence[Campaign], out_html: Path) -> list[Path]:
 
 
 def campaign_section(campaign: Campaign) -> str:
-    """Describe a campaign in HTML: conditions, figures in numbers, figures drawn.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        The results.
-    """
+    """Describe a campaign in HTML: conditions, figures in numbers, figures drawn."""
     summary = campaign.summary
     missing = campaign.study.n_trials * len(campaign.study.flown_modes) - len(campaign.trials)
     errors = sum(s["errors"] for s in summary.values())

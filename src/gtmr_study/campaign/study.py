@@ -101,11 +101,6 @@ class Study(YamlModel):
     def scenario(self, trial: int) -> Scenario:
         """Make the world of a trial; it is the same for all modes.
 
-        Parameters
-        ----------
-        trial : int
-            Number of the trial, from 0.
-
         Returns
         -------
         Scenario
@@ -133,13 +128,6 @@ def mode_order(mode: str) -> int:
 
 def trial_seed(seed: int, trial: int) -> int:
     """Seed of one trial's gusts and sampled mismatch.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the campaign.
-    trial : int
-        Number of the trial, from 0.
 
     Returns
     -------

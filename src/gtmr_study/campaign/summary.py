@@ -36,11 +36,6 @@ LEAST_TRIALS_FOR_SHARES = math.ceil(16.0 / 27.0 * (CONFIDENCE_Z / SHARE_HALF_WID
 def summarise(trials: pd.DataFrame) -> dict[str, dict[str, Any]]:
     """Boil a campaign down to its figures, a mode at a time.
 
-    Parameters
-    ----------
-    trials : pandas.DataFrame
-        The rows of trials.csv.
-
     Returns
     -------
     dict
@@ -94,13 +89,6 @@ def _summary(trials: pd.DataFrame) -> dict[str, Any]:
 def wilson_interval(events: int, trials: int) -> tuple[float, float]:
     """Interval that holds the true rate of an event with 95 % confidence (Wilson 1927).
 
-    Parameters
-    ----------
-    events : int
-        How often it happened.
-    trials : int
-        Of how many.
-
     Returns
     -------
     tuple of float
@@ -123,11 +111,6 @@ def channel_shares(trials: pd.DataFrame) -> pd.DataFrame:
     It sees effects that are not monotonic, as that of a wind that pushes the vehicle to the tower
     on one side and away from it on the other. What the shares leave to 1 is interplay of channels,
     and gusts.
-
-    Parameters
-    ----------
-    trials : pandas.DataFrame
-        Rows of one mode.
 
     Returns
     -------

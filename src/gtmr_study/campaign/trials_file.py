@@ -50,11 +50,6 @@ def is_campaign(folder: Path) -> bool:
 def read_study(folder: Path) -> Study:
     """Read what a campaign folder is of.
 
-    Parameters
-    ----------
-    folder : pathlib.Path
-        The folder of a campaign.
-
     Raises
     ------
     InputError
@@ -75,11 +70,6 @@ def read_study(folder: Path) -> Study:
 
 def read_trials(folder: Path) -> pd.DataFrame:
     """Read the rows of a campaign.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        The folder of a campaign.
 
     Returns
     -------
@@ -146,15 +136,6 @@ def require_own_or_empty(option: str, folder: Path, study: Study) -> None:
 def open_campaign(option: str, folder: Path, study: Study) -> Iterator[TrialsFile]:
     """Start a campaign's folder, or take up one that was interrupted.
 
-    Parameters
-    ----------
-    option : str
-        The option that gave the folder, for messages.
-    folder : pathlib.Path
-        New, empty, or holding the same study.
-    study : Study
-        What is flown.
-
     Yields
     ------
     TrialsFile
@@ -205,11 +186,6 @@ class TrialsFile:
 
     def append(self, rows: Sequence[Row]) -> None:
         """Add rows.
-
-        Parameters
-        ----------
-        rows : sequence of dict
-            As `fly_trial` makes them.
 
         Raises
         ------

@@ -248,13 +248,7 @@ def with_options(study: Study, **changes: Any) -> Study:
 
 
 def print_summary(summary: dict[str, Any]) -> None:
-    """Print the figures of a campaign, one column a mode.
-
-    Parameters
-    ----------
-    summary : dict
-        See `summarise`.
-    """
+    """Print the figures of a campaign, one column a mode."""
     flown = {mode: s for mode, s in summary.items() if s["trials"]}
     table = Table("", *flown)
     rows = {

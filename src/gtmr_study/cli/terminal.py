@@ -100,15 +100,6 @@ def exit_code_of(command: Callable[[], Any]) -> int:
 def require_choice(option: str, value: str, allowed: Collection[str]) -> None:
     """Check that a value is one of those there are.
 
-    Parameters
-    ----------
-    option : str
-        The option that gave the value, for the message.
-    value : str
-        What was given.
-    allowed : collection of str
-        What may be given.
-
     Raises
     ------
     InputError
@@ -120,13 +111,6 @@ def require_choice(option: str, value: str, allowed: Collection[str]) -> None:
 
 def needs_ros(what: str, error: ModuleNotFoundError) -> InputError:
     """Make the refusal of what cannot be done without ROS.
-
-    Parameters
-    ----------
-    what : str
-        What was asked for.
-    error : ModuleNotFoundError
-        Why it cannot be done.
 
     Returns
     -------

@@ -113,15 +113,6 @@ int main(int argc, char **argv)
 def export_c(config: ControllerConfig, mode: Mode, folder: Path) -> list[Path]:
     """Write the controller as C99 with all that is needed to build and check it.
 
-    Parameters
-    ----------
-    config : ControllerConfig
-        The problem; its numbers stand in ``parameters.h``.
-    mode : str
-        Mode of the recorded flight; the library has both.
-    folder : pathlib.Path
-        New or empty.
-
     Returns
     -------
     list of pathlib.Path

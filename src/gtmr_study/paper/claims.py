@@ -65,13 +65,6 @@ RESIDUAL_TOLERANCE_M = 0.02
 def deviations(summary: dict[str, Any], mode: Mode) -> dict[str, float]:
     """Compare a mode's figures with the paper's, in units of the tolerances.
 
-    Parameters
-    ----------
-    summary : dict
-        Of one mode, see `summarise`.
-    mode : str
-        Which row of the paper.
-
     Returns
     -------
     dict
@@ -95,13 +88,6 @@ def deviations(summary: dict[str, Any], mode: Mode) -> dict[str, float]:
 
 def distance(summary: dict[str, dict[str, Any]], modes: tuple[Mode, ...]) -> float:
     """Root mean square of the deviations of some rows.
-
-    Parameters
-    ----------
-    summary : dict
-        Of a campaign, see `summarise`.
-    modes : tuple of str
-        Which rows count.
 
     Returns
     -------

@@ -161,13 +161,6 @@ def claims(study: Study, results: dict[str, Any]) -> list[Claim]:
     """Set every claim of the paper beside what was found, with a verdict on each.
 
     Figures are met within the tolerances of `deviations`; comparisons if they hold.
-
-    Parameters
-    ----------
-    study : Study
-        What was flown.
-    results : dict
-        Content of reproduction.json, see `reproduce`.
     """
     values = _values(study, results)
     found = [_tried(_REALIZATIONS, values)]

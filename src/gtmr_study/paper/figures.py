@@ -30,11 +30,6 @@ TABLE_II_HEADS = ("controller", "least clearance", "trials with violation", "ave
 def table_ii_rows(summary: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     """Table II: the paper's rows and ours, as text.
 
-    Parameters
-    ----------
-    summary : dict
-        Of a campaign, see `summarise`.
-
     Returns
     -------
     list of (str, str, str, str)
@@ -82,17 +77,7 @@ def table_ii(summary: dict[str, Any]) -> Figure:
 
 
 def fig_1(logs: dict[str, FlightLog], tower: Tower, helix: Helix) -> Figure:
-    """Draw Fig. 1: flights under a steady wind, in space, from above and as clearance.
-
-    Parameters
-    ----------
-    logs : dict
-        Flights by mode.
-    tower : Tower
-        What was flown round.
-    helix : Helix
-        What was to be followed.
-    """
+    """Draw Fig. 1: flights under a steady wind, in space, from above and as clearance."""
     figure = new_figure(10.5, 4.0)
     grid = figure.add_gridspec(1, 3, width_ratios=(1.0, 0.9, 1.1))
     space = figure.add_subplot(grid[0], projection="3d")

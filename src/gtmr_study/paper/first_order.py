@@ -70,11 +70,6 @@ class Perturbations:
     def ratio(self, part: str) -> Array:
         """Size of a change over the margin that should bound it.
 
-        Parameters
-        ----------
-        part : str
-            ``parametric``, ``gust`` or ``both``.
-
         Returns
         -------
         NDArray, shape (n, N)
@@ -188,11 +183,6 @@ def _step(vehicle: Vehicle, period_s: float) -> ca.Function:
 def quality(found: Perturbations) -> dict[str, Any]:
     """Boil perturbations down to figures by stage.
 
-    Parameters
-    ----------
-    found : Perturbations
-        Of many plans.
-
     Returns
     -------
     dict
@@ -221,13 +211,7 @@ def quality(found: Perturbations) -> dict[str, Any]:
 
 
 def draw(figures: dict[str, Any]) -> Figure:
-    """Draw by stage how much of each margin is used.
-
-    Parameters
-    ----------
-    figures : dict
-        As `quality` makes it.
-    """
+    """Draw by stage how much of each margin is used."""
     figure = new_figure(9.0, 3.6)
     titles = {"parametric": "Parametric", "gust": "Gust", "both": "Both"}
     panels = figure.subplots(1, 3, sharey=True)

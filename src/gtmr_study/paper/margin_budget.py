@@ -26,11 +26,6 @@ HELIX_SPEEDS_M_S = (0.2, 0.5, 1.0, 1.5, 2.0)
 def margin_budget(config: ControllerConfig) -> dict[str, float]:
     """Parts of the tightening at the last stage, averaged over a turn round the tower.
 
-    Parameters
-    ----------
-    config : ControllerConfig
-        The controller; it plans from states on the reference.
-
     Returns
     -------
     dict
@@ -45,11 +40,6 @@ def margin_budget(config: ControllerConfig) -> dict[str, float]:
 
 def alpha_by_helix_speed(config: ControllerConfig) -> list[dict[str, float]]:
     """Size of the tightening at the last stage against the speed of the helix.
-
-    Parameters
-    ----------
-    config : ControllerConfig
-        All else.
 
     Returns
     -------
@@ -66,11 +56,6 @@ def alpha_by_helix_speed(config: ControllerConfig) -> list[dict[str, float]]:
 
 def hoelder_ratio(config: ControllerConfig) -> float:
     """Compare Hoelder's bound with the parametric margin that the paper uses instead, eq. (12).
-
-    Parameters
-    ----------
-    config : ControllerConfig
-        The controller; it plans from states on the reference.
 
     Returns
     -------
@@ -107,11 +92,6 @@ def _plans_of_a_turn(config: ControllerConfig) -> list[Solution]:
 
 def unit_slips(config: ControllerConfig) -> dict[str, ControllerConfig]:
     """Make the controllers that slips of units would give.
-
-    Parameters
-    ----------
-    config : ControllerConfig
-        The paper's, read as it is printed.
 
     Returns
     -------

@@ -75,13 +75,7 @@ def write_page(
 
 
 def sensitivity_markdown(results: dict[str, Any]) -> str:
-    """Write what the results depend on.
-
-    Parameters
-    ----------
-    results : dict
-        Content of reproduction.json, see `reproduce`.
-    """
+    """Write what the results depend on."""
     return "\n".join(
         f"## {title}\n\n{text}\n\n{markdown_table(rows)}"
         for title, text, rows in _sections(results)
@@ -89,13 +83,7 @@ def sensitivity_markdown(results: dict[str, Any]) -> str:
 
 
 def one_value_at_a_time(results: dict[str, Any]) -> Table:
-    """Lay out how a change of each value that the paper leaves out moves both rows.
-
-    Parameters
-    ----------
-    results : dict
-        Content of reproduction.json, see `reproduce`.
-    """
+    """Lay out how a change of each value that the paper leaves out moves both rows."""
     heads = ["changed"]
     for mode, distance in zip(MODES, ("nominal", "both"), strict=True):
         heads += [f"{mode}: {what}" for what in ("violating", "least [m]", "q1, median, q3 [m]")]
@@ -112,11 +100,6 @@ def one_value_at_a_time(results: dict[str, Any]) -> Table:
 
 def size_of_the_tightening(results: dict[str, Any]) -> Table:
     """Lay out the parts of the margin, and how close robust flights come with it.
-
-    Parameters
-    ----------
-    results : dict
-        Content of reproduction.json, see `reproduce`.
 
     Returns
     -------
@@ -137,13 +120,7 @@ def size_of_the_tightening(results: dict[str, Any]) -> Table:
 
 
 def alpha_by_speed(results: dict[str, Any]) -> Table:
-    """Lay out the tightening at the last stage against the helix's speed.
-
-    Parameters
-    ----------
-    results : dict
-        Content of reproduction.json, see `reproduce`.
-    """
+    """Lay out the tightening at the last stage against the helix's speed."""
     rows = results["alpha_by_helix_speed"]
     return [
         ["helix speed [m/s]", *(f"{row['speed_m_s']:g}" for row in rows)],

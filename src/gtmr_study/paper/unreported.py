@@ -105,11 +105,6 @@ def with_values(values: dict[str, float], base: Study) -> Study:
 def values_of(study: Study) -> dict[str, float]:
     """Read the values that the paper leaves out off a study.
 
-    Parameters
-    ----------
-    study : Study
-        The study.
-
     Returns
     -------
     dict

@@ -96,11 +96,6 @@ class Situation:
 def record_situations(steps: int) -> list[Situation]:
     """Fly what the contenders are timed on.
 
-    Parameters
-    ----------
-    steps : int
-        How many steps each situation has.
-
     Returns
     -------
     list of Situation
@@ -146,15 +141,6 @@ def time_controller(
 ) -> dict[str, dict[str, float]]:
     """Time the controller on a situation.
 
-    Parameters
-    ----------
-    situation : Situation
-        The states.
-    mode : str
-        ``nominal`` or ``robust``.
-    tightening : str
-        ``frozen`` or ``gradient``.
-
     Returns
     -------
     dict
@@ -174,15 +160,6 @@ def time_controller(
 
 def time_rivals(situation: Situation, steps: int, rivals: Rivals) -> dict[str, dict[str, float]]:
     """Time general solvers, and the nominal controller beside them, on the same steps.
-
-    Parameters
-    ----------
-    situation : Situation
-        The states.
-    steps : int
-        How many of them, from the first on.
-    rivals : dict
-        From `make_rivals`.
 
     Returns
     -------
@@ -222,11 +199,6 @@ def time_rivals(situation: Situation, steps: int, rivals: Rivals) -> dict[str, d
 
 def make_rivals(config: ControllerConfig) -> Rivals:
     """State the nominal problem for every general solver; takes about a minute.
-
-    Parameters
-    ----------
-    config : ControllerConfig
-        The problem.
 
     Returns
     -------

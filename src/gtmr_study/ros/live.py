@@ -68,13 +68,6 @@ class LiveView:
     def watch(self, node: Node, mode: str) -> Callable[[], None]:
         """Show the flight that a node can hear.
 
-        Parameters
-        ----------
-        node : rclpy.node.Node
-            In the graph of the flight.
-        mode : str
-            Of the controller.
-
         Returns
         -------
         callable

@@ -167,17 +167,7 @@ class LivePage:
             vehicle.position = (at.x, at.y, at.z)
 
     def add_residual(self, mode: str, time_s: float, residual_m: float) -> None:
-        """Note a sample of the residual; ``show`` shows it.
-
-        Parameters
-        ----------
-        mode : str
-            Of the flight.
-        time_s : float
-            Since the start of the flight [s].
-        residual_m : float
-            s = d_min - d_T [m].
-        """
+        """Note a sample of the residual; ``show`` shows it."""
         curve = self._curves[mode]
         i = min(int(CURVE_POINTS * time_s / self._duration_s), CURVE_POINTS - 1)
         curve.residual[i] = np.fmax(curve.residual[i], residual_m)

@@ -30,15 +30,7 @@ class Standing:
     """The largest residual [m]."""
 
     def add(self, time_s: float, residual_m: float) -> None:
-        """Note a sample.
-
-        Parameters
-        ----------
-        time_s : float
-            Since the start of the flight [s].
-        residual_m : float
-            s = d_min - d_T [m].
-        """
+        """Note a sample."""
         self.time_s, self.residual_m = time_s, residual_m
         self.worst_m = max(self.worst_m, residual_m)
 

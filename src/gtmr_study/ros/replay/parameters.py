@@ -67,11 +67,6 @@ class RecordedParameters:
     def advance(self, time_ns: int) -> bool:
         """Take over what was changed before an instant.
 
-        Parameters
-        ----------
-        time_ns : int
-            Unix time by the controller's clock [ns].
-
         Returns
         -------
         bool
