@@ -82,6 +82,28 @@ def test_plans_are_those_of_the_reference_with_qpoases(name, monkeypatch):
     assert set(situation.active) <= set(most)
 
 
+def test_a_clearance_row_gives_way_once_its_multiplier_would_exceed_the_linear_penalty():
+    # u^2 / 2 with u + 1 <= s needs a multiplier of 1 to hold with s = 0.
+    none, one = np.zeros(0), np.ones(1)
+    for l1, slack in ((2.0, 0.0), (0.5, 1 / 6), (0.2, 4 / 15)):
+        qp = CondensedQp(
+            hessian=np.eye(1),
+            gradient=np.zeros(1),
+            input_lower=-5.0 * one,
+            input_upper=5.0 * one,
+            speed_rows=np.zeros((0, 1)),
+            speed_lower=none,
+            speed_upper=none,
+            clearance_rows=np.eye(1),
+            clearance_upper=-one,
+            slack_l1=l1,
+            slack_l2=1.0,
+        )
+        for solution in (qp.solve(), solve_with_qpoases(qp)):
+            np.testing.assert_allclose(solution.slack, slack, atol=1e-6)
+            np.testing.assert_allclose(solution.du, slack - 1.0, atol=1e-6)
+
+
 @pytest.mark.parametrize("name", ["octo", "quad", "laas"])
 def test_other_vehicles(name):
     config = ControllerConfig(vehicle=Vehicle.preset("vehicle", name), tightening="gradient")
@@ -110,16 +132,35 @@ def test_rounding_decides_no_plan_where_a_margin_is_zero_by_symmetry(iteration):
     assert difference(plans[0], plans[2]) < 1e-7
 
 
-def compare_from(config, x, steps, mode="robust"):
+def compare_from(config, x, steps, mode="robust", closely=1e-7):
     """Feed both controllers the states that the compiled one predicts."""
     compiled, reference = pair(config, mode)
     for k in range(steps):
         t = k * config.sampling_time_s
         solution = compiled.step(t, x)
         expected = reference.step(t, x)
-        assert difference(solution, expected) < 1e-7
+        assert difference(solution, expected) < closely
         assert solution.status == expected.status != "failed"
         x = solution.x_plan[1]
+
+
+def test_digits_that_the_gram_matrix_loses_come_back():
+    limits = {
+        "min_rotor_speed_hz": 27.1,
+        "max_rotor_speed_hz": 84.9,
+        "max_rotor_acceleration_hz_s": 55.0,
+    }
+    config = ControllerConfig(
+        vehicle=Vehicle.paper().model_copy(update=limits),
+        tower=Tower(radius_m=2.23),
+        helix=Helix(speed_m_s=-0.4, start_angle_rad=1.0),
+        slack_l1=57060.0,
+        slack_l2=23000.0,
+    )
+    body = [1.23, 2.08, 1.883, 0.005, 0.18, 4.055, 0.182, 0.127, 0.348, -0.437, -0.029, 0.341]
+    x = np.array([*body, 70.133, 40.571, 74.355, 84.891, 80.72, 44.263])
+    # Without refinement 3e-5.
+    compare_from(config, x, steps=6, closely=2e-6)
 
 
 def around(middle, spread):
@@ -181,24 +222,32 @@ def test_a_state_far_off_never_gives_a_plan_that_is_no_number():
 def test_a_plan_that_is_called_solved_keeps_the_rotor_limits_from_anywhere():
     config = ControllerConfig()
     vehicle, rng = config.vehicle, np.random.default_rng(5)
-    start = config.helix.initial_state(config.tower, vehicle)
-    solved = 0
-    for _ in range(150):
-        controller = Controller(config, "robust", CompiledIteration(config))
-        x = start.copy()
+    starts = np.tile(config.helix.initial_state(config.tower, vehicle), (540, 1))
+    for x in starts:
         x[:3] += rng.uniform(-0.4, 0.6, 3)
         x[3:5] += rng.uniform(-0.3, 0.3, 2)
         x[6:12] += rng.uniform(-1.0, 1.0, 6)
         x[12:] = rng.uniform(0.0, 120.0, 6)
-        for k in range(2):
+    solved = 0
+    # On the fourth step from start 536 the active set ends beyond the limits: it must say failed.
+    for x in [*starts[:75], starts[536]]:
+        controller = Controller(config, "robust", CompiledIteration(config))
+        for k in range(4):
             plan = controller.step(0.025 * k, x)
-            if plan.status == "failed":
-                continue
-            solved += 1
-            assert np.abs(plan.u_plan).max() <= vehicle.max_rotor_acceleration_hz_s + 1e-6
-            reach = vehicle.max_rotor_acceleration_hz_s * 0.025 * np.arange(1, 21)[:, None]
-            lowest = np.minimum(vehicle.min_rotor_speed_hz, x[12:] + reach)
-            highest = np.maximum(vehicle.max_rotor_speed_hz, x[12:] - reach)
-            assert (plan.x_plan[1:, 12:] >= lowest - 1e-6).all()
-            assert (plan.x_plan[1:, 12:] <= highest + 1e-6).all()
+            if plan.status != "failed":
+                solved += 1
+                assert beyond_limits(vehicle, plan, x[12:]) < 1e-6
+            x = plan.x_plan[1]
     assert solved > 250
+
+
+def beyond_limits(vehicle, plan, xi):
+    """How far a plan is beyond rotor limits [Hz/s, Hz], less what it takes to return."""
+    reach = vehicle.max_rotor_acceleration_hz_s * 0.025 * np.arange(1, 21)[:, None]
+    lowest = np.minimum(vehicle.min_rotor_speed_hz, xi + reach)
+    highest = np.maximum(vehicle.max_rotor_speed_hz, xi - reach)
+    return max(
+        np.abs(plan.u_plan).max() - vehicle.max_rotor_acceleration_hz_s,
+        (lowest - plan.x_plan[1:, 12:]).max(),
+        (plan.x_plan[1:, 12:] - highest).max(),
+    )

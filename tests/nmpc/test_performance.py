@@ -8,12 +8,15 @@
 
 """What the controller says of itself adds up."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gtmr_model import CHANNELS, Tower, Vehicle
 from gtmr_nmpc import Controller
-from gtmr_nmpc.performance import standing
+from gtmr_nmpc.performance import Performance, standing
+from gtmr_nmpc.solution import Timing
 from gtmr_sim import Scenario
 
 SCENARIO = Scenario()
@@ -52,3 +55,11 @@ def test_a_plan_that_starts_too_close_is_active_and_uses_slack():
     assert said["active_clearance_stages"] > 0
     assert said["active_inputs"] > 0
     assert said["tightest_to_spare_m"] < 0.0
+
+
+@pytest.mark.parametrize(("prepare_s", "misses"), [(0.014, 0), (0.016, 1)])
+def test_both_phases_together_must_keep_the_deadline(prepare_s, misses):
+    performance = Performance(sampling_time_s=0.025)
+    solution = Controller().step(0.0, START)
+    performance.add(replace(solution, timing=Timing(prepare_s, feedback_s=0.01)), latency_s=0.0)
+    assert performance.deadline_misses == misses

@@ -13,9 +13,7 @@
 #include "workspace.h"
 
 /* Squared sine of the angle below which a row is taken as dependent on the others. */
-#define DEPENDENT 1e-13
-/* Below this it is found by projection, as the difference of two numbers near 1 is too coarse. */
-#define DOUBTFUL 1e-9
+#define DEPENDENT 1e-9
 
 double compliance(const gtmr_controller *c, const active_row *a)
 {
@@ -127,74 +125,12 @@ void working_set_backward(const working_set *set, double *y)
     }
 }
 
-/* Whether a rotor's speed before a stage follows from its active rows. */
-static int speed_follows(const gtmr_controller *c, int rotor, int stage)
-{
-    int first = stage, last = stage;
-    while (first > 0 && c->in_set[row_of(first - 1, rotor)]) {
-        --first;
-    }
-    while (last < STAGES && c->in_set[row_of(last, rotor)]) {
-        ++last;
-    }
-    /* The speed before stage 0 is measured. */
-    int follows = first == 0;
-    for (int i = first > 0 ? first : 1; i <= last && !follows; ++i) {
-        follows = c->in_set[row_of(i - 1, N_U + rotor)];
-    }
-    return follows;
-}
-
-/*
- * Whether a rotor's row follows from its active ones, as its speeds are the sums of its inputs;
- * without rounding, unlike the factor.
- */
-static int follows(const gtmr_controller *c, int row)
-{
-    const int stage = row / STAGE_ROWS, which = row % STAGE_ROWS, rotor = which % N_U;
-    return which != CLEARANCE && speed_follows(c, rotor, stage + 1) &&
-           (which >= N_U || speed_follows(c, rotor, stage));
-}
-
-/*
- * What is left of a row once its projection on the working set is taken off, length squared; each
- * soft row has a dimension of its own besides. w: L^-1 times its Gram row. Projected twice, as
- * once loses half the digits.
- */
-static double squared_sine(const gtmr_controller *c, const active_row *of, const double *w)
-{
-    const working_set *set = &c->active;
-    double rest[LD_V] = {0.0}, by[LD_ACTIVE], total[LD_ACTIVE] = {0.0}, own = 0.0;
-    add_scaled(rest, of->side * of->scale, c->rows[of->row], row_length(of->row));
-    memcpy(by, w, set->count * sizeof(double));
-    for (int pass = 0; pass < 2; ++pass) {
-        working_set_backward(set, by);
-        for (int i = 0; i < set->count; ++i) {
-            total[i] += by[i];
-            by[i] = -by[i];
-        }
-        working_set_combine(c, by, rest);
-        working_set_along(c, rest, LD_V, by);
-        own = 0.0;
-        for (int i = 0; i < set->count; ++i) {
-            const double gives = compliance(c, &set->member[i]);
-            own += gives * total[i] * total[i];
-            by[i] -= gives * total[i];
-        }
-        working_set_forward(set, by);
-    }
-    return dot(rest, rest, LD_V) + own;
-}
-
 int working_set_append(gtmr_controller *c, const active_row *row, int needed, double *w)
 {
     working_set *set = &c->active;
-    const int n = set->count, dependent = follows(c, row->row);
+    const int n = set->count;
     const double own = compliance(c, row);
     double diagonal = 1.0 + own;
-    if (dependent && !needed) {
-        return 0;
-    }
     working_set_along(c, c->rows[row->row], row_length(row->row), w);
     for (int i = 0; i < n; ++i) {
         w[i] *= row->side * row->scale;
@@ -203,10 +139,7 @@ int working_set_append(gtmr_controller *c, const active_row *row, int needed, do
     for (int i = 0; i < n; ++i) {
         diagonal -= w[i] * w[i];
     }
-    if (diagonal < DOUBTFUL * (1.0 + own)) {
-        diagonal = needed && !dependent ? squared_sine(c, row, w) + own : 0.0;
-    }
-    if (n == MAX_ACTIVE - 1 || dependent || diagonal < DEPENDENT * (1.0 + own)) {
+    if (n == MAX_ACTIVE - 1 || diagonal < DEPENDENT * (1.0 + own)) {
         return 0;
     }
     for (int i = 0; i < n; ++i) {
