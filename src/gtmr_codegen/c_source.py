@@ -12,13 +12,26 @@ from __future__ import annotations
 
 import casadi as ca
 
-BINARY = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
+BINARY = {
+    ca.OP_ADD: "+",
+    ca.OP_SUB: "-",
+    ca.OP_MUL: "*",
+    ca.OP_DIV: "/",
+    ca.OP_LT: "<",
+    ca.OP_LE: "<=",
+    ca.OP_EQ: "==",
+    ca.OP_NE: "!=",
+    ca.OP_AND: "&&",
+    ca.OP_OR: "||",
+}
 UNARY = {
     ca.OP_ASSIGN: "{0}",
     ca.OP_NEG: "-{0}",
     ca.OP_SQ: "{0} * {0}",
     ca.OP_TWICE: "{0} + {0}",
     ca.OP_INV: "1.0 / {0}",
+    ca.OP_NOT: "!{0}",
+    ca.OP_IF_ELSE_ZERO: "{0} != 0.0 ? {1} : 0.0",
 }
 CALLS = {
     ca.OP_SIN: "sin",
@@ -27,6 +40,13 @@ CALLS = {
     ca.OP_FABS: "fabs",
     ca.OP_FMIN: "fmin",
     ca.OP_FMAX: "fmax",
+    ca.OP_EXP: "exp",
+    ca.OP_LOG: "log",
+    ca.OP_POW: "pow",
+    ca.OP_CONSTPOW: "pow",
+    ca.OP_TANH: "tanh",
+    ca.OP_ATAN2: "atan2",
+    ca.OP_HYPOT: "hypot",
 }
 
 

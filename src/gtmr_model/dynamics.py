@@ -82,7 +82,9 @@ def euler_rate(eta: Any, omega: Any) -> Any:
     )
 
 
-def state_derivative(x: Any, u: Any, zeta: Any, w_g: Any, vehicle: Vehicle) -> Any:
+def state_derivative(
+    x: Any, u: Any, zeta: Any, w_g: Any, vehicle: Vehicle, torque: Any = 0.0
+) -> Any:
     """Evaluate f(x, u, zeta) + G_w w_g, eq. (3), on CasADi symbols.
 
     Parameters
@@ -97,6 +99,8 @@ def state_derivative(x: Any, u: Any, zeta: Any, w_g: Any, vehicle: Vehicle) -> A
         Gust force, world frame [N].
     vehicle : Vehicle
         Nominal parameters.
+    torque : casadi expression, shape (3,), optional
+        On the body beyond eq. (3), body frame [N m].
 
     Returns
     -------
@@ -112,7 +116,7 @@ def state_derivative(x: Any, u: Any, zeta: Any, w_g: Any, vehicle: Vehicle) -> A
 
     force = rotation(eta) @ wrench[:3] - drag * v + wind_bias + w_g
     gravity = ca.DM([0.0, 0.0, GRAVITY_M_S2])
-    angular_acceleration = (wrench[3:] - ca.cross(omega, inertia * omega)) / inertia
+    angular_acceleration = (wrench[3:] + torque - ca.cross(omega, inertia * omega)) / inertia
     return ca.vertcat(v, euler_rate(eta, omega), force / mass - gravity, angular_acceleration, u)
 
 

@@ -10,15 +10,17 @@
 
 from gtmr_sim.flight import FlightError, FlightLog, StepController, fly
 from gtmr_sim.plant import Plant
-from gtmr_sim.scenario import GUST_KINDS, GustConfig, GustKind, Scenario
+from gtmr_sim.registry import EFFECTS, GUSTS
+from gtmr_sim.scenario import GUST_KINDS, GustConfig, Scenario
 from gtmr_sim.simulation import Simulation
 
 __all__ = [
+    "EFFECTS",
+    "GUSTS",
     "GUST_KINDS",
     "FlightError",
     "FlightLog",
     "GustConfig",
-    "GustKind",
     "Plant",
     "Scenario",
     "Simulation",

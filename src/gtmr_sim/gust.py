@@ -15,41 +15,82 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
 
+from gtmr_sim.registry import GUSTS
 from gtmr_sim.scenario import Scenario
 
 Array = NDArray[np.float64]
-Gust = Callable[[Array], Array]
-"""Maps the vehicle's position, world frame [m], to the next gust sample, world frame [N]."""
+Gust = Callable[[float, Array], Array]
+"""Maps time since the start [s] and the vehicle's position, world frame [m], to the gust force
+that is held from now on, world frame [N], shape (3,)."""
 
 FOOT_M = 0.3048
 """[m]"""
 
 
 def make_gust(scenario: Scenario) -> Gust:
-    """Start the gusts of a scenario; the same scenario gives the same gusts.
+    """Start the gusts of a scenario, clipped to its bound; the same scenario gives the same.
 
-    Returns
-    -------
-    Gust
-        To be called once every hold period.
+    The function registered under the scenario's kind gets the scenario, from which it takes its
+    random numbers (``scenario.rng("gust")``), and the kind's ``parameters`` as arguments. It
+    returns a `Gust`, which is called once every hold period.
+
+    Raises
+    ------
+    ValueError
+        When a gust of one's own gives anything but three finite numbers.
     """
-    config, bound = scenario.gust, scenario.uncertainty.gust_n
-    rng = scenario.rng("gust")
-    match config.kind:
-        case "none":
-            return lambda _: np.zeros(3)
-        case "worst-case":
-            return lambda position: bound * _towards_tower(position)
-        case "sinusoid":
-            return _sinusoid(bound, config.period_s, scenario.gust_hold_s, rng)
-        case "ou":
-            filters = [ornstein_uhlenbeck(config.std_n, config.correlation_time_s)] * 3
-        case "dryden":
-            height_m = scenario.helix.start_height_m
-            filters = dryden(config.std_n, config.airspeed_m_s, height_m)
-    return _clipped(_coloured_noise(filters, scenario.gust_hold_s, rng), bound)
+    kind, bound = scenario.gust.kind, scenario.uncertainty.gust_n
+    gust = GUSTS[kind](scenario, **scenario.gust.parameters)
+
+    def sample(time_s: float, position: Array) -> Array:
+        force = np.asarray(gust(time_s, position), dtype=float)
+        if force.shape != (3,) or not np.isfinite(force).all():
+            raise ValueError(f"gust {kind!r} gave {force} at {time_s:g} s: expected 3 forces [N]")
+        norm = float(np.linalg.norm(force))
+        if norm <= bound:
+            return force
+        # The last factor keeps rounding from lifting the norm above the bound.
+        return force * (bound / norm * (1.0 - 1e-15))
+
+    return sample
+
+
+@GUSTS.register("ou")
+def _ou(scenario: Scenario) -> Gust:
+    config = scenario.gust
+    axis = ornstein_uhlenbeck(config.std_n, config.correlation_time_s)
+    return _coloured_noise([axis] * 3, scenario)
+
+
+@GUSTS.register("dryden")
+def _dryden(scenario: Scenario) -> Gust:
+    config, height_m = scenario.gust, scenario.helix.start_height_m
+    return _coloured_noise(dryden(config.std_n, config.airspeed_m_s, height_m), scenario)
+
+
+@GUSTS.register("sinusoid")
+def _sinusoid(scenario: Scenario) -> Gust:
+    """Push to and from the tower with the full bound as amplitude and a random phase."""
+    phase = scenario.rng("gust").uniform(0.0, 2.0 * math.pi)
+
+    def sample(_: float, position: Array) -> Array:
+        nonlocal phase
+        force = scenario.uncertainty.gust_n * math.sin(phase) * _towards_tower(position)
+        phase += 2.0 * math.pi * scenario.gust_hold_s / scenario.gust.period_s
+        return force
+
+    return sample
+
+
+@GUSTS.register("worst-case")
+def _worst_case(scenario: Scenario) -> Gust:
+    return lambda _, position: scenario.uncertainty.gust_n * _towards_tower(position)
+
+
+@GUSTS.register("none")
+def _none(_: Scenario) -> Gust:
+    return lambda *_: np.zeros(3)
 
 
 def ornstein_uhlenbeck(std: float, correlation_time_s: float) -> tuple[Array, Array, Array]:
@@ -102,48 +143,25 @@ def _transverse(std: float, time_s: float) -> tuple[Array, Array, Array]:
     return a, b, c
 
 
-def _coloured_noise(
-    filters: list[tuple[Array, Array, Array]], period_s: float, rng: np.random.Generator
-) -> Gust:
-    """Sample stationary filtered white noise exactly at a fixed period."""
+def _coloured_noise(filters: list[tuple[Array, Array, Array]], scenario: Scenario) -> Gust:
+    """Sample stationary filtered white noise exactly, once every hold period."""
+    # Here, as it takes longer to import than all else of a flight's start.
+    from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
+
+    rng = scenario.rng("gust")
     a = block_diag(*(f[0] for f in filters))
     b = block_diag(*(f[1][:, None] for f in filters))
     c = block_diag(*(f[2] for f in filters))
-    transition = expm(a * period_s)
+    transition = expm(a * scenario.gust_hold_s)
     stationary = solve_continuous_lyapunov(a, -b @ b.T)
     increment = np.linalg.cholesky(stationary - transition @ stationary @ transition.T)
     state = np.linalg.cholesky(stationary) @ rng.standard_normal(len(a))
 
-    def sample(_: Array) -> Array:
+    def sample(*_: object) -> Array:
         nonlocal state
         output = c @ state
         state = transition @ state + increment @ rng.standard_normal(len(a))
         return output
-
-    return sample
-
-
-def _sinusoid(bound: float, period_s: float, hold_s: float, rng: np.random.Generator) -> Gust:
-    """Push to and from the tower with the full bound as amplitude and a random phase."""
-    phase = rng.uniform(0.0, 2.0 * math.pi)
-
-    def sample(position: Array) -> Array:
-        nonlocal phase
-        force = bound * math.sin(phase) * _towards_tower(position)
-        phase += 2.0 * math.pi * hold_s / period_s
-        return force
-
-    return sample
-
-
-def _clipped(gust: Gust, bound: float) -> Gust:
-    def sample(position: Array) -> Array:
-        force = gust(position)
-        norm = float(np.linalg.norm(force))
-        if norm <= bound:
-            return force
-        # The last factor keeps rounding from lifting the norm above the bound.
-        return force * (bound / norm * (1.0 - 1e-15))
 
     return sample
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from functools import lru_cache, partial
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -20,13 +21,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from gtmr_codegen.c_source import c_function
 from gtmr_codegen.library import CompileError, load_library, warn_interpreted
-from gtmr_model.dynamics import ROTORS, discrete_step, symbols
+from gtmr_model.dynamics import ROTORS, rk4_step, state_derivative, symbols
+from gtmr_model.tower import Tower
 from gtmr_model.uncertainty import N_ZETA
 from gtmr_model.vehicle import Vehicle
 
 Array = NDArray[np.float64]
+TOWER = Tower()
 Integrator = Callable[[Array, int], None]
 """Takes a plant's memory, x, u, zeta and w_g in one row, and moves x on by a number of steps."""
+
+Effect = Callable[[Any, Any, Vehicle, Tower], tuple[Any, Any]]
+"""Maps CasADi symbols of x, shape (12 + N_p,), and zeta, shape (9,), with the nominal vehicle and
+the tower, to an extra force, world frame [N], and torque, body frame [N m], each of shape (3,).
+It is compiled into the plant, and evaluated within every step of the integration."""
 
 ADVANCE = """
 #include <string.h>
@@ -56,10 +64,22 @@ class Plant:
         State to start from.
     step_s : float
         Integration step [s].
+    tower : Tower
+        What effects may depend on.
+    effects : tuple of Effect
+        Forces and torques beyond eq. (3); they add up.
     """
 
-    def __init__(self, vehicle: Vehicle, zeta: ArrayLike, x: ArrayLike, step_s: float) -> None:
-        self._integrate = _integrator(vehicle, step_s)
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        zeta: ArrayLike,
+        x: ArrayLike,
+        step_s: float,
+        tower: Tower = TOWER,
+        effects: tuple[Effect, ...] = (),
+    ) -> None:
+        self._integrate = _integrator(vehicle, step_s, tower, effects)
         # The compiled code is shared between flights and threads; what it writes to is not.
         self._memory = np.zeros(vehicle.n_x + vehicle.n_rotors + N_ZETA + 3)
         self.zeta: Array = np.asarray(zeta, dtype=float)
@@ -84,8 +104,10 @@ class Plant:
 
 
 @lru_cache(maxsize=64)
-def _integrator(vehicle: Vehicle, step_s: float) -> Integrator:
-    step = _plant_step(vehicle, step_s)
+def _integrator(
+    vehicle: Vehicle, step_s: float, tower: Tower, effects: tuple[Effect, ...]
+) -> Integrator:
+    step = _plant_step(vehicle, step_s, tower, effects)
     try:
         return _compiled(step)
     except CompileError as error:
@@ -93,22 +115,39 @@ def _integrator(vehicle: Vehicle, step_s: float) -> Integrator:
         return partial(_interpreted, step)
 
 
-def _plant_step(vehicle: Vehicle, step_s: float) -> ca.Function:
+def _plant_step(
+    vehicle: Vehicle, step_s: float, tower: Tower = TOWER, effects: tuple[Effect, ...] = ()
+) -> ca.Function:
     """One RK4 step with the actuator limits applied: (x, u, zeta, w_g) -> x."""
     x, u, zeta, w_g = symbols(vehicle)
     limit = vehicle.max_rotor_acceleration_hz_s
     feasible = ca.fmin(ca.fmax(u, -limit), limit)
     feasible = ca.fmin(feasible, (vehicle.max_rotor_speed_hz - x[ROTORS]) / step_s)
     feasible = ca.fmax(feasible, (vehicle.min_rotor_speed_hz - x[ROTORS]) / step_s)
-    x_next = discrete_step(x, feasible, zeta, w_g, vehicle, step_s)
+
+    def derivative(x: Any) -> Any:
+        force, torque = w_g, ca.SX(3, 1)
+        for effect in effects:
+            more_force, more_torque = map(ca.SX, effect(x, zeta, vehicle, tower))
+            if more_force.shape != (3, 1) or more_torque.shape != (3, 1):
+                given = f"{more_force.shape} and {more_torque.shape}"
+                raise ValueError(f"effect {effect.__name__}: shapes {given}, expected (3, 1) each")
+            force, torque = force + more_force, torque + more_torque
+        return state_derivative(x, feasible, zeta, force, vehicle, torque)
+
+    x_next = rk4_step(x, step_s, derivative)
     return ca.Function("plant_step", [x, u, zeta, w_g], [x_next])
 
 
 def _compiled(step: ca.Function) -> Integrator:
     n_x = step.size1_in(0)
+    try:
+        source = c_function(step)
+    except NotImplementedError as error:
+        raise CompileError(f"an effect cannot be compiled: {error}") from None
     library = load_library(
         "the plant",
-        {"plant_step.c": f"#include <math.h>\n\n{c_function(step)}\n{ADVANCE}"},
+        {"plant_step.c": f"#include <math.h>\n\n{source}\n{ADVANCE}"},
         # Without fused operations the results are those of CasADi's virtual machine, bit by bit.
         {"plant_step.c": ("-O2", "-ffp-contract=off", f"-DN_X={n_x}")},
     )

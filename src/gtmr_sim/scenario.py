@@ -10,19 +10,30 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import Self
 
 from gtmr_model import ConfigError, Helix, NamedVehicle, Tower, UncertaintySet, Vehicle, YamlModel
+from gtmr_sim.registry import EFFECTS, GUSTS
 
-GustKind = Literal["ou", "dryden", "sinusoid", "worst-case", "none"]
-GUST_KINDS: tuple[GustKind, ...] = ("ou", "dryden", "sinusoid", "worst-case", "none")
-"""Clipped Ornstein-Uhlenbeck, clipped Dryden, sinusoid, constant towards the tower, none."""
+GUST_KINDS = ("ou", "dryden", "sinusoid", "worst-case", "none")
+"""Clipped Ornstein-Uhlenbeck, clipped Dryden, sinusoid, constant towards the tower, none: those
+that come with the suite."""
+
+
+def _effects(names: tuple[str, ...]) -> tuple[str, ...]:
+    # ROS 2 knows no empty list of texts: an empty text stands for it.
+    return tuple(EFFECTS.require(name) for name in names if name)
+
+
+EffectNames = Annotated[tuple[str, ...], AfterValidator(_effects)]
+"""Names of vehicle effects in a configuration."""
 
 
 def whole_steps(name: str, time_s: float, part: str, part_s: float) -> int:
@@ -44,8 +55,8 @@ def whole_steps(name: str, time_s: float, part: str, part_s: float) -> int:
 class GustConfig(YamlModel):
     """The gust force; its norm never exceeds the bound of the uncertainty set."""
 
-    kind: GustKind = "ou"
-    """Which model."""
+    kind: Annotated[str, AfterValidator(GUSTS.require), GUSTS] = "ou"
+    """Which model: one that comes with the suite, or a registered or installed one."""
     std_n: float = Field(0.25, ge=0.0)
     """Standard deviation per axis before clipping, of ``ou`` and ``dryden`` [N]; assumed."""
     correlation_time_s: float = Field(0.5, gt=0.0)
@@ -54,6 +65,17 @@ class GustConfig(YamlModel):
     """Period of ``sinusoid`` [s]; assumed."""
     airspeed_m_s: float = Field(8.0, gt=0.0)
     """Mean wind speed that carries the ``dryden`` turbulence past the vehicle [m/s]; assumed."""
+    parameters: dict[str, float] = Field(default_factory=dict)
+    """Numbers of a model of one's own, by the names of its function's arguments."""
+
+    @model_validator(mode="after")
+    def _takes(self) -> Self:
+        if self.model_fields_set:
+            try:
+                inspect.signature(GUSTS[self.kind]).bind(None, **self.parameters)
+            except TypeError as error:
+                raise ValueError(f"gust {self.kind!r}, parameters: {error}") from None
+        return self
 
 
 class Scenario(YamlModel):
@@ -71,6 +93,8 @@ class Scenario(YamlModel):
     """The true mismatch [-] and wind bias [N, world frame], eq. (4)."""
     gust: GustConfig = GustConfig()
     """The gusts."""
+    effects: EffectNames = ()
+    """Forces and torques on the true vehicle beyond eq. (3), by their registered names."""
     seed: int = Field(0, ge=0)
     """Seed of the gusts, and of zeta where it is sampled."""
     step_s: float = Field(1e-3, gt=0.0, le=0.01)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gtmr_sim.gust import make_gust
 from gtmr_sim.plant import Plant
+from gtmr_sim.registry import EFFECTS
 from gtmr_sim.scenario import Scenario, whole_steps
 
 
@@ -46,7 +47,10 @@ class Simulation:
         """Go back to the start of the same flight."""
         scenario = self.scenario
         start = scenario.helix.initial_state(scenario.tower, scenario.vehicle)
-        self.plant = Plant(scenario.vehicle, scenario.zeta_array, start, scenario.step_s)
+        effects = tuple(EFFECTS[name] for name in scenario.effects)
+        self.plant = Plant(
+            scenario.vehicle, scenario.zeta_array, start, scenario.step_s, scenario.tower, effects
+        )
         self._gust = make_gust(scenario)
         self._step = 0
         self._plan = np.zeros((0, scenario.vehicle.n_rotors))
@@ -116,7 +120,7 @@ class Simulation:
         return np.zeros(self.scenario.vehicle.n_rotors)
 
     def _draw_gust(self) -> None:
-        self._w_g = self._gust(self.plant.x[:3])
+        self._w_g = self._gust(self.time_s, self.plant.x[:3])
 
     def _steps(self, name: str, time_s: float) -> int:
         return whole_steps(name, time_s, "step_s", self.scenario.step_s)

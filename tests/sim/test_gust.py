@@ -20,7 +20,7 @@ POSITION = np.array([0.0, 1.35, 2.0])
 
 def record(scenario, samples):
     gust = make_gust(scenario)
-    return np.array([gust(POSITION) for _ in range(samples)])
+    return np.array([gust(0.025 * k, POSITION) for k in range(samples)])
 
 
 @pytest.mark.parametrize("kind", GUST_KINDS)

@@ -116,6 +116,9 @@ def _declarations(
                 read_only=read_only,
             )
             yield Declaration(path, presets[name], descriptor)
+        elif isinstance(value, dict):
+            # ROS parameters have no mappings: only a file or Python sets these.
+            continue
         elif isinstance(value, YamlModel):
             yield from _declarations(value, presets, dynamic, path)
         else:
@@ -126,8 +129,13 @@ def _declarations(
 def _descriptor(info: FieldInfo, read_only: bool) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(description=_sentence(info), read_only=read_only)
     annotation, bounds = info.annotation, Bounds.of(info.metadata)
-    if get_origin(annotation) is Literal:
-        descriptor.additional_constraints = "one of: " + ", ".join(get_args(annotation))
+    choices = get_args(annotation) if get_origin(annotation) is Literal else ()
+    for constraint in info.metadata:
+        # As a registry of what can be named, which belongs to a layer above.
+        if hasattr(constraint, "names"):
+            choices = constraint.names()
+    if choices:
+        descriptor.additional_constraints = "one of: " + ", ".join(choices)
         return descriptor
     if get_origin(annotation) is tuple:
         descriptor.additional_constraints = _tuple_constraints(info)
@@ -180,7 +188,10 @@ def _ros_value(value: Any, annotation: Any) -> Any:
     if get_origin(annotation) is Annotated:
         annotation = get_args(annotation)[0]
     if get_origin(annotation) is tuple:
-        return [_ros_value(item, get_args(annotation)[0]) for item in value]
+        item_type = get_args(annotation)[0]
+        # An empty list has no type in ROS: an empty text stands for no texts.
+        none = [""] if item_type is str else []
+        return [_ros_value(item, item_type) for item in value] or none
     if get_origin(annotation) is Literal:
         return str(value)
     return annotation(value)

@@ -21,7 +21,7 @@ from typing_extensions import Self
 from gtmr_model import UncertaintySet, YamlModel
 from gtmr_nmpc import MODES, ControllerConfig, Mode
 from gtmr_sim import GustConfig, Scenario
-from gtmr_sim.scenario import whole_steps
+from gtmr_sim.scenario import EffectNames, whole_steps
 from gtmr_study.campaign.plans import Plan
 from gtmr_study.own_controller import ControllerFingerprint
 
@@ -57,6 +57,8 @@ class Study(YamlModel):
     """Which true mismatches are flown."""
     gust: GustConfig = GustConfig()
     """The gusts; their bound is that of ``uncertainty``."""
+    effects: EffectNames = ()
+    """Forces and torques on the true vehicle beyond eq. (3), by their registered names."""
     uncertainty: UncertaintySet | None = None
     """The box that the true mismatches come from; left out: the one the controller guards
     against."""
@@ -113,6 +115,7 @@ class Study(YamlModel):
             helix=controller.helix,
             uncertainty=self.true_uncertainty,
             gust=self.gust,
+            effects=self.effects,
             seed=trial_seed(self.seed, trial),
         )
         points = _points(self.plan, self.true_uncertainty, self.seed)

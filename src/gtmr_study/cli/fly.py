@@ -22,7 +22,7 @@ from rich.text import Text
 from gtmr_model import Vehicle
 from gtmr_monitor.residual import residual_statistics, solve_statistics
 from gtmr_nmpc import MODES, Controller, ControllerConfig
-from gtmr_sim import GUST_KINDS, FlightError, GustConfig, Scenario, StepController, fly
+from gtmr_sim import GUST_KINDS, GUSTS, FlightError, GustConfig, Scenario, StepController, fly
 from gtmr_study.cli.terminal import console, progress, require_choice
 from gtmr_study.own_controller import OwnController
 from gtmr_study.result_files import InputError, require_folder_of, require_new_file, write_json
@@ -74,7 +74,7 @@ def fly_command(
         raise InputError(f"--mode = {mode}: {own.name} has no modes; leave it out")
     mode = mode or "robust"
     require_choice("--mode", mode, MODES)
-    require_choice("--gust", gust, GUST_KINDS)
+    require_choice("--gust", gust, GUSTS.names())
     if zeta is not None and sample:
         raise InputError("--zeta and --sample: give one of them")
     if out is not None and out.suffix != ".npz":
