@@ -19,12 +19,7 @@ from gtmr_monitor.bag.writer import BagWriter, OfferedQos
 class Recorder:
     """A bag until it cannot be written; from then on it only counts what it lacks.
 
-    Parameters
-    ----------
-    folder : str
-        New or empty.
-    on_failure : callable
-        Told in one line what went wrong.
+    The folder is new or empty; ``on_failure`` is told in one line what went wrong.
 
     Raises
     ------

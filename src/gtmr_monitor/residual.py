@@ -77,17 +77,7 @@ def residual_statistics(residual_m: ArrayLike, min_clearance_m: float) -> Residu
 
 
 def solve_statistics(solve_ms: ArrayLike) -> SolveStatistics:
-    """Summarise the solve times of a flight.
-
-    Parameters
-    ----------
-    solve_ms : array_like, shape (n,)
-        Time per controller step [ms].
-
-    Returns
-    -------
-    SolveStatistics
-        [ms].
+    """Summarise the solve times of a flight [ms].
 
     Raises
     ------

@@ -32,13 +32,6 @@ def without_tail(data: bytes, msgtype: str) -> bytes:
     It reserves padding in front of elements that an empty sequence does not have, and hands it
     out at the end of the buffer; strict readers take that for a damaged message. What comes over
     the wire has no such tail.
-
-    Parameters
-    ----------
-    data : bytes
-        A message in CDR, little-endian.
-    msgtype : str
-        For example ``rcl_interfaces/msg/ParameterEvent``.
     """
     definition = typestore().get_msgdef(msgtype)
     _, end = definition.deserialize_cdr_le(data[4:], 0, definition.cls, typestore())

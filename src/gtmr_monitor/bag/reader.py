@@ -79,12 +79,9 @@ class BagMessage:
 
 
 def bag_files(path: str | Path) -> list[Path]:
-    """List the MCAP files of a bag, in the order in which they were recorded.
+    """List the MCAP files of a bag, at least one, in the order in which they were recorded.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        A rosbag2 folder, with or without its metadata.yaml, or an MCAP file.
+    A bag is a rosbag2 folder, with or without its metadata.yaml, or an MCAP file.
 
     Returns
     -------
@@ -111,11 +108,6 @@ def read_messages(path: str | Path) -> Iterator[BagMessage]:
     """Read the messages of a bag in the order in which they were recorded.
 
     A bag without an end is read up to its last whole chunk, with a ``TruncatedBagWarning``.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        A rosbag2 folder, with or without its metadata.yaml, or an MCAP file.
 
     Yields
     ------

@@ -71,14 +71,7 @@ def read_recording(
 
 
 def read_recordings(path: str | Path, vehicle: str | None = None) -> list[Recording]:
-    """Read the flights of the vehicles in a bag, or of one of them.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        A rosbag2 folder, with or without its metadata.yaml, or an MCAP file.
-    vehicle : str, optional
-        Namespace of its nodes, for example ``hex1`` or ``/hex1``; ``/`` for none.
+    """Read the flights of the vehicles in a bag, or of one, named as in `read_flights`.
 
     Raises
     ------

@@ -150,16 +150,7 @@ class BagWriter:
         return self._intact_bytes
 
     def add_topic(self, name: str, msgtype: str, qos: OfferedQos | None = None) -> None:
-        """Announce a topic; its message definition goes into the bag.
-
-        Parameters
-        ----------
-        name : str
-            Fully qualified topic name.
-        msgtype : str
-            For example ``nav_msgs/msg/Odometry``.
-        qos : OfferedQos, optional
-            How the topic is published.
+        """Announce a topic by its full name; its message definition goes into the bag.
 
         Raises
         ------
@@ -199,18 +190,7 @@ class BagWriter:
     def write(
         self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int | None = None
     ) -> None:
-        """Append a message.
-
-        Parameters
-        ----------
-        topic : str
-            One that was announced.
-        data : bytes
-            The message in CDR, as it went over the wire.
-        log_time_ns : int
-            When it was received, Unix time [ns].
-        publish_time_ns : int, optional
-            When it was sent, Unix time [ns].
+        """Append a message in CDR, received and sent at those Unix times [ns].
 
         Raises
         ------

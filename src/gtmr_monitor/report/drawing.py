@@ -53,7 +53,7 @@ Draw = Callable[[], Figure]
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """Make an empty figure."""
+    """Make an empty figure of that size [in]."""
     # Not through pyplot: no global state, no window system.
     figure = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
@@ -61,7 +61,7 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 
 def save(draw: Draw, stem: Path, formats: Sequence[str] = ("png", "pdf")) -> list[Path]:
-    """Draw a figure into files.
+    """Draw a figure into a file of each format; the stem is the path without the ending.
 
     Returns
     -------

@@ -86,13 +86,7 @@ class Line:
 
 
 def lines(flights: Sequence[Flight]) -> list[Line]:
-    """Give every flight its label, colour and dash.
-
-    Returns
-    -------
-    list of Line
-        One per flight; a mode flown once is labelled by the mode alone.
-    """
+    """Give every flight its label, colour and dash; a mode flown once is its own label."""
     seen: dict[str, int] = {}
     modes = [f"{flight.mode}, replayed" if flight.replayed else flight.mode for flight in flights]
     result = []
@@ -126,12 +120,12 @@ def margin_parts(margins: MarginHistory) -> dict[str, NDArray[np.float64]]:
 
 
 def rotor_colour(rotor: int) -> str:
-    """Colour of a rotor's line."""
+    """Colour of the line of a rotor, numbered from 0."""
     return _ROTOR_COLOURS[rotor % len(_ROTOR_COLOURS)]
 
 
 def solve_time_bins(flights: Sequence[Flight]) -> NDArray[np.float64]:
-    """Edges of the histogram of solve times, evenly spread on a logarithmic scale.
+    """Edges of the histogram of solve times [ms], evenly spread on a logarithmic scale.
 
     Returns
     -------
@@ -162,7 +156,7 @@ def moved(flown: Sequence[tuple[Flight, Line]]) -> list[tuple[Flight, Line]]:
 
 
 def residual_range(flights: Sequence[Flight]) -> tuple[float, float]:
-    """Limits of an axis for residuals, with room for words above the safety line.
+    """Limits [m] of an axis for residuals, with room for words above the safety line.
 
     Returns
     -------

@@ -65,14 +65,9 @@ Row = tuple[str, Value]
 
 
 def write_report(flights: Sequence[Flight], out_html: str | Path) -> list[Path]:
-    """Write a report on flights, compared side by side.
+    """Write a report on flights, compared side by side; the first gives tower and reference.
 
-    Parameters
-    ----------
-    flights : sequence of Flight
-        At least one; the first gives tower and reference.
-    out_html : str or pathlib.Path
-        The HTML file; figures go beside it as ``<stem>-<figure>.png``. Both are written over.
+    Figures go beside the HTML file as ``<stem>-<figure>.png``. All are written over.
 
     Returns
     -------

@@ -237,14 +237,7 @@ FIGURES: dict[str, Callable[[Flown], Figure]] = {
 
 
 def write_figures(flown: Flown, prefix: Path) -> list[Path]:
-    """Draw every figure into a PNG file.
-
-    Parameters
-    ----------
-    flown : sequence of (Flight, Line)
-        The flights and how they are drawn.
-    prefix : pathlib.Path
-        Folder and beginning of the file names, to which the figure's name is added.
+    """Draw every figure into a PNG file: the prefix, then the figure's name.
 
     Returns
     -------

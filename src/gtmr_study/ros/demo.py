@@ -58,23 +58,8 @@ def fly_in_ros(
 ) -> Path:
     """Fly the helix once, in real time where the machine keeps up, with one process a node.
 
-    Parameters
-    ----------
-    mode : str
-        Of the controller: ``nominal`` or ``robust``.
-    duration_s : float
-        Length of the flight [s].
-    folder : pathlib.Path
-        New or empty; receives the bag and a log of each node.
-    on_progress : callable
-        Called while flying.
-    live : LiveView, optional
-        Shows the flight.
-
-    Returns
-    -------
-    pathlib.Path
-        The bag.
+    The folder is new or empty, and receives the bag and a log of each node; ``on_progress`` is
+    called while flying.
 
     Raises
     ------

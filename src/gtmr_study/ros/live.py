@@ -48,15 +48,7 @@ SHOWN = (
 
 
 class LiveView:
-    """A page that shows flights while they are flown, one mode after the other.
-
-    Parameters
-    ----------
-    duration_s : float
-        Length of a flight [s].
-    modes : sequence of str
-        What is flown, in turn.
-    """
+    """A page that shows flights while they are flown, one mode after the other."""
 
     def __init__(self, duration_s: float, modes: Sequence[str]) -> None:
         scenario = Scenario()

@@ -49,7 +49,7 @@ LOOK_AT_M = (0.95, 0.0, 0.0)
 """Camera and its target, seen from the tower's axis at the vehicle's height, x outwards [m]."""
 JOINTS_EVERY_M = 1.0
 SEAMS = 8
-"""Joints round the tower and seams along it, so that one sees the vehicle move."""
+"""Joints around the tower and seams along it, so that one sees the vehicle move."""
 JOINT_COLOR = (150, 150, 146)
 
 
@@ -75,14 +75,7 @@ class _Drawn:
 class LivePage:
     """A page in the browser that shows what it is given, to whoever opens it and whenever.
 
-    Parameters
-    ----------
-    duration_s : float
-        Length of a flight [s].
-    modes : sequence of str
-        What is flown, in turn.
-    min_clearance_m : float
-        d_min [m].
+    It shows flights of ``duration_s`` [s], one a mode, with d_min ``min_clearance_m`` [m].
     """
 
     def __init__(self, duration_s: float, modes: Sequence[str], min_clearance_m: float) -> None:
@@ -112,25 +105,14 @@ class LivePage:
     def draw(self, drawn: Iterable[Marker], frame: str = MAP) -> None:
         """Show markers in space, in place of those of the same namespace and number.
 
-        Parameters
-        ----------
-        drawn : iterable of visualization_msgs.msg.Marker
-            Cylinders, boxes, lines and arrows [m].
-        frame : str
-            In which they are given: `map`, or `base_link` for what goes along with the vehicle.
+        They are in `map`, or in `base_link` for what goes along with the vehicle [m].
         """
         with self._server.atomic():
             for marker in drawn:
                 self._draw(marker, self._frames[frame].name)
 
     def add_joints(self, tower: Tower) -> None:
-        """Give the tower's smooth surface something to see motion by.
-
-        Parameters
-        ----------
-        tower : Tower
-            On the z axis of the world frame.
-        """
+        """Give the tower's smooth surface something to see motion by."""
         # Just off the surface, which would swallow half of each line.
         radius, top = tower.radius_m + 0.002, markers.DRAWN_HEIGHT_M
         angle = np.linspace(0.0, 2.0 * np.pi, 97)
@@ -147,15 +129,10 @@ class LivePage:
         )
 
     def move(self, pose: Pose) -> None:
-        """Put the vehicle where it is, and turn the scene so that it stays in sight.
+        """Put the vehicle where it is in `map` [m], and turn the scene so that it stays in sight.
 
         Not the camera follows the vehicle but the world turns, so that a viewer is free to look
         from elsewhere meanwhile.
-
-        Parameters
-        ----------
-        pose : geometry_msgs.msg.Pose
-            Of `base_link` in `map` [m].
         """
         at, turned = pose.position, pose.orientation
         azimuth = math.atan2(at.y, at.x) if self._follow.value else 0.0
@@ -167,22 +144,14 @@ class LivePage:
             vehicle.position = (at.x, at.y, at.z)
 
     def add_residual(self, mode: str, time_s: float, residual_m: float) -> None:
-        """Note a sample of the residual; ``show`` shows it."""
+        """Note a residual s [m] at a time [s] since the start; ``show`` shows it."""
         curve = self._curves[mode]
         i = min(int(CURVE_POINTS * time_s / self._duration_s), CURVE_POINTS - 1)
         curve.residual[i] = np.fmax(curve.residual[i], residual_m)
         curve.standing.add(time_s, residual_m)
 
     def show(self, mode: str, margin_m: float) -> None:
-        """Bring curve and numbers up to date.
-
-        Parameters
-        ----------
-        mode : str
-            What is flown now.
-        margin_m : float
-            The largest tightening of the plan, alpha_p + alpha_g [m].
-        """
+        """Bring curve and numbers up to date; the margin is the largest of the plan [m]."""
         self._status.content = status(
             {name: curve.standing for name, curve in self._curves.items()},
             mode,

@@ -30,7 +30,7 @@ class Standing:
     """The largest residual [m]."""
 
     def add(self, time_s: float, residual_m: float) -> None:
-        """Note a sample."""
+        """Note a residual [m] at a time [s] since the start of the flight."""
         self.time_s, self.residual_m = time_s, residual_m
         self.worst_m = max(self.worst_m, residual_m)
 

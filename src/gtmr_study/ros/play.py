@@ -70,14 +70,7 @@ class Playlist:
 
 
 def read_playlist(path: str | Path, everything: bool = False) -> Playlist:
-    """Look through a bag for what is to be played.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        A rosbag2 folder, with or without its metadata.yaml, or an MCAP file.
-    everything : bool
-        Whether to play every topic, for viewers, rather than what the nodes need.
+    """Look through a bag for what is to be played: every topic, or what the nodes need.
 
     Raises
     ------

@@ -65,12 +65,7 @@ class RecordedParameters:
         return stamps.nanoseconds(float(self._values.get("max_stamp_difference_s", 0.0)))
 
     def advance(self, time_ns: int) -> bool:
-        """Take over what was changed before an instant.
-
-        Returns
-        -------
-        bool
-            Whether anything was.
+        """Take over what was changed before a Unix time [ns]; say whether anything was.
 
         Raises
         ------

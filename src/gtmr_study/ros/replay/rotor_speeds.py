@@ -71,14 +71,7 @@ def quasi_static_rotor_speeds(x: ArrayLike, vehicle: Vehicle) -> NDArray[np.floa
 class RotorSpeeds:
     """The rotor speeds at the stamps of the odometry, from the best source that there is.
 
-    Parameters
-    ----------
-    recording : Recording
-        The flight.
-    vehicle : Vehicle
-        Whose rotors they are.
-    tolerance_ns : int
-        How far the stamps of odometry and rotor states that belong together may be apart [ns].
+    Stamps of odometry and rotor states that belong together may be ``tolerance_ns`` apart [ns].
     """
 
     def __init__(self, recording: Recording, vehicle: Vehicle, tolerance_ns: int) -> None:
