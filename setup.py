@@ -38,6 +38,7 @@ setup(
         "gtmr_model": ["config/**/*.yaml"],
         "gtmr_msgs_py.start": ["*.xml"],
         "gtmr_nmpc.compiled": ["c/*.[ch]"],
+        "gtmr_study.export": ["replay.c", "CMakeLists.txt"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/gtmr"]),

@@ -8,6 +8,7 @@
 
 """The exported C controller: pedantic C99, and the same commands as from Python."""
 
+import resource
 import shutil
 import subprocess
 from pathlib import Path
@@ -21,6 +22,8 @@ from gtmr_study.export.project import export_c
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
 SANITIZED = ["-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 COMPILER = shutil.which("cc")
+STACK_BYTES = 64 * 1024
+"""What gtmr.h says is enough; here the program's own stack counts as well."""
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler, cc")
 
 
@@ -78,6 +81,27 @@ def test_exported_sources_need_neither_heap_nor_python(tmp_path):
         text = path.read_text()
         for word in ("malloc", "calloc", "realloc", "Python.h", "casadi.h", "#include <casadi"):
             assert word not in text, path.name
+
+
+def test_exported_controller_needs_no_more_stack_than_stated_and_exports_prefixed_names(tmp_path):
+    export_c(ControllerConfig(tightening="gradient"), "robust", tmp_path)
+    assert f"{STACK_BYTES // 1024} kB" in (tmp_path / "gtmr.h").read_text()
+    program = build(tmp_path, "-O2")
+    names = subprocess.run(
+        ["nm", "--extern-only", "--defined-only", "--format=posix", program],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    ours = {line.split()[0] for line in names.splitlines() if "@" not in line}
+    assert {name for name in ours if not name.startswith(("gtmr_", "_", "main"))} <= {"data_start"}
+    run = subprocess.run(
+        [program, tmp_path / "flight.csv"],
+        capture_output=True,
+        env={},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_STACK, (STACK_BYTES,) * 2),
+    )
+    assert run.returncode == 0
 
 
 def test_replay_fails_when_a_command_differs(tmp_path):

@@ -53,7 +53,7 @@ def c_sources(config: ControllerConfig) -> dict[str, str]:
 def flags(sources: dict[str, str]) -> dict[str, tuple[str, ...]]:
     """Compiler flags of each ``.c`` file."""
     return {
-        name: GENERATED_FLAGS if name.startswith("model_") else WRITTEN_FLAGS
+        name: GENERATED_FLAGS if name.startswith("gtmr_model_") else WRITTEN_FLAGS
         for name in sources
         if name.endswith(".c")
     }
@@ -69,7 +69,7 @@ def _model(config: ControllerConfig) -> dict[str, str]:
         )
         for function in functions
     }
-    sources["model_points.c"] = "/* Generated. */\n" + "\n".join(
+    sources["gtmr_model_points.c"] = "/* Generated. */\n" + "\n".join(
         ["#include <math.h>\n", '#include "problem.h"\n', *(c_function(f) for f in by_point)]
     )
     lanes_in = max(sum(f.nnz_in(i) for i in range(f.n_in())) for f in functions)
@@ -136,7 +136,7 @@ def _linearise(config: ControllerConfig) -> tuple[ca.Function, ca.Sparsity, ca.S
     jacobian, dF_dzeta = ca.jacobian(both, free), ca.jacobian(x_next, zeta)
     results = _at_nominal([x_next, acceleration, jacobian, dF_dzeta], zeta)
     placed = ca.horzcat(ca.SX(both.numel(), 3), results[2]).sparsity()
-    function = ca.Function("model_linearise", [x, u], ca.cse(results))
+    function = ca.Function("gtmr_model_linearise", [x, u], ca.cse(results))
     return function, placed, results[3].sparsity()
 
 
@@ -151,7 +151,7 @@ def _reference(config: ControllerConfig) -> ca.Function:
         )
     position, velocity, acceleration, yaw, yaw_rate = follow(t, numbers)
     r = ca.vertcat(position, velocity, acceleration, 0, 0, yaw, 0, 0, yaw_rate)
-    return ca.Function("model_reference", [t, numbers], [ca.densify(ca.cse(r))])
+    return ca.Function("gtmr_model_reference", [t, numbers], [ca.densify(ca.cse(r))])
 
 
 def _clearance() -> list[ca.Function]:
@@ -159,8 +159,8 @@ def _clearance() -> list[ca.Function]:
     p, sizes, direction = (ca.SX.sym(n, k) for n, k in (("p", 3), ("sizes", 2), ("d", 3)))
     y, gradient, curvature = ocp.clearance_constraint()(p, sizes, direction)
     return [
-        ca.Function("model_clearance", [p, sizes], ca.cse([y, gradient])),
-        ca.Function("model_curvature", [p, direction], ca.cse([curvature])),
+        ca.Function("gtmr_model_clearance", [p, sizes], ca.cse([y, gradient])),
+        ca.Function("gtmr_model_curvature", [p, direction], ca.cse([curvature])),
     ]
 
 
@@ -185,7 +185,7 @@ def _bending(config: ControllerConfig) -> ca.Function:
     worst = ca.jtimes(x_next, ca.vertcat(x, zeta), ca.vertcat(pi, rotors, s))
     bent = ca.jtimes(worst, ca.vertcat(x, u), ca.vertcat(dx, du))
     results = [ca.densify(r) for r in _at_nominal([bent], zeta)]
-    return ca.Function("model_bending", [x, u, pi, s, dx, du], ca.cse(results))
+    return ca.Function("gtmr_model_bending", [x, u, pi, s, dx, du], ca.cse(results))
 
 
 def _adjoint(config: ControllerConfig) -> ca.Function:
@@ -195,7 +195,7 @@ def _adjoint(config: ControllerConfig) -> ca.Function:
     lam, pi, s = (ca.SX.sym(n, k) for n, k in (("lambda", 12), ("pi", 12), ("s", N_ZETA)))
     rotors = ca.DM.zeros(u.numel())
     gradient = adjoint(x, u, ca.vertcat(lam, rotors), ca.vertcat(pi, rotors), s)
-    return ca.Function("model_adjoint", [x, u, lam, pi, s], ca.cse([ca.densify(gradient)]))
+    return ca.Function("gtmr_model_adjoint", [x, u, lam, pi, s], ca.cse([ca.densify(gradient)]))
 
 
 def _dynamics(config: ControllerConfig) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:

@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -23,91 +24,8 @@ FLIGHT_S = 10.0
 """Length of the recorded flight that the replay is checked against [s]."""
 TOO_CLOSE_M = 0.25
 """By how much this flight starts closer to the tower than its helix [m]."""
-
-CMAKE = """\
-cmake_minimum_required(VERSION 3.16)
-project(gtmr C)
-set(CMAKE_C_STANDARD 99)
-set(CMAKE_C_STANDARD_REQUIRED ON)
-set(CMAKE_C_EXTENSIONS OFF)
-if(NOT CMAKE_BUILD_TYPE)
-  set(CMAKE_BUILD_TYPE Release)
-endif()
-add_compile_options(-Wall -Wextra -Werror -pedantic)
-
-add_library(gtmr STATIC
-  {sources})
-target_include_directories(gtmr PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
-target_link_libraries(gtmr PUBLIC m)
-
-add_executable(replay replay.c)
-target_link_libraries(replay gtmr)
-enable_testing()
-add_test(NAME replay COMMAND replay ${{CMAKE_CURRENT_SOURCE_DIR}}/flight.csv)
-"""
-
-REPLAY = r"""
-/* Replays flight.csv and compares the commands with those that were recorded in it. */
-#include <math.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-
-#include "gtmr.h"
-#include "parameters.h"
-
-#define N_X (12 + GTMR_ROTORS)
-#define COLUMNS (2 + N_X + GTMR_ROTORS)
-/* Hz/s */
-#define TOLERANCE 1e-9
-
-static unsigned char memory[GTMR_MEMORY_BYTES + 64];
-static double plan[GTMR_PLAN_LENGTH];
-
-static int read_row(FILE *file, double *row)
-{
-    int column;
-    for (column = 0; column < COLUMNS; column++)
-        if (fscanf(file, column == 0 ? "%lf" : ",%lf", &row[column]) != 1)
-            return 0;
-    return 1;
-}
-
-int main(int argc, char **argv)
-{
-    /* t, margin_scale, x, u */
-    double row[COLUMNS], worst = 0.0;
-    const double *x = row + 2, *u = x + N_X;
-    int steps = 0, rotor;
-    gtmr_controller *controller;
-    FILE *file = argc == 2 ? fopen(argv[1], "r") : NULL;
-
-    if (file == NULL) {
-        fprintf(stderr, "usage: replay flight.csv\n");
-        return 2;
-    }
-    if (gtmr_size() > GTMR_MEMORY_BYTES) {
-        fprintf(stderr, "GTMR_MEMORY_BYTES: at least %lu\n", (unsigned long)gtmr_size());
-        return 2;
-    }
-    controller = gtmr_create(memory + (64 - (uintptr_t)memory % 64) % 64, &gtmr_problem);
-    for (; read_row(file, row); steps++) {
-        if (steps == 0)
-            gtmr_cold(controller, x);
-        else
-            gtmr_warm(controller, 1);
-        gtmr_prepare(controller, row[0], row[1]);
-        gtmr_feedback(controller, x, plan);
-        for (rotor = 0; rotor < GTMR_ROTORS; rotor++) {
-            const double *planned = plan + (GTMR_STAGES + 1) * N_X;
-            worst = fmax(worst, fabs(planned[rotor] - u[rotor]));
-        }
-    }
-    fclose(file);
-    printf("%d steps, largest difference of a command %g Hz/s\n", steps, worst);
-    return steps > 0 && worst <= TOLERANCE ? EXIT_SUCCESS : EXIT_FAILURE;
-}
-"""
+FILES = ("replay.c", "CMakeLists.txt")
+"""Written as they stand in this folder."""
 
 
 def export_c(config: ControllerConfig, mode: Mode, folder: Path) -> list[Path]:
@@ -123,13 +41,11 @@ def export_c(config: ControllerConfig, mode: Mode, folder: Path) -> list[Path]:
     CompileError
         If there is no C compiler to record the flight with.
     """
-    sources = codegen.c_sources(config)
-    units = sorted(name for name in sources if name.endswith(".c"))
-    contents = sources | {
+    own = files("gtmr_study.export")
+    contents = codegen.c_sources(config) | {
         "parameters.h": _parameters_header(config),
-        "replay.c": REPLAY.lstrip(),
         "flight.csv": _flight(config, mode),
-        "CMakeLists.txt": CMAKE.format(sources="\n  ".join(units)),
+        **{name: (own / name).read_text(encoding="utf-8") for name in FILES},
     }
     folder.mkdir(parents=True, exist_ok=True)
     written = []

@@ -90,7 +90,7 @@ static void minimiser(gtmr_controller *c)
         by[i] = -c->active.member[i].lambda;
     }
     memset(c->v, 0, sizeof c->v);
-    working_set_combine(c, by, c->v);
+    gtmr_working_set_combine(c, by, c->v);
 }
 
 /*
@@ -101,11 +101,11 @@ static void measure_excess(gtmr_controller *c)
 {
     double change[LD_ACTIVE];
     minimiser(c);
-    working_set_along(c, c->v, LD_V, change);
+    gtmr_working_set_along(c, c->v, LD_V, change);
     c->active.settled = 0;
     for (int i = 0; i < c->active.count; ++i) {
         active_row *a = &c->active.member[i];
-        const double slack = a->soft ? compliance(c, a) * (a->lambda - a->cap) : 0.0;
+        const double slack = a->soft ? gtmr_compliance(c, a) * (a->lambda - a->cap) : 0.0;
         a->excess = excess_at_zero(c, a) + change[i] - slack;
     }
 }
@@ -117,8 +117,8 @@ static void correction(const working_set *set, double *change)
     for (int i = set->settled; i < set->count; ++i) {
         change[i] = set->member[i].excess;
     }
-    working_set_forward(set, change);
-    working_set_backward(set, change);
+    gtmr_working_set_forward(set, change);
+    gtmr_working_set_backward(set, change);
 }
 
 /* Go a part of a correction; rows that are settled stay so. */
@@ -135,13 +135,13 @@ static void advance(working_set *set, const double *change, double step)
 
 /*
  * Change of the set's multipliers, per unit of that of a dependent row, that leaves v alone; w as
- * from `working_set_append`. Returns the sign of the change that raises the dual objective.
+ * from `gtmr_working_set_append`. Returns the sign of the change that raises the dual objective.
  */
 static double null_direction(const gtmr_controller *c, const active_row *row, double *w)
 {
     const working_set *set = &c->active;
     double slope = excess_at_zero(c, row);
-    working_set_backward(set, w);
+    gtmr_working_set_backward(set, w);
     for (int i = 0; i < set->count; ++i) {
         /* A soft row is independent of all others. */
         w[i] = set->member[i].soft ? 0.0 : -w[i];
@@ -158,7 +158,7 @@ static int enter(gtmr_controller *c, active_row row)
 {
     working_set *set = &c->active;
     double direction[LD_ACTIVE], w[LD_ACTIVE];
-    while (!working_set_append(c, &row, 1, direction)) {
+    while (!gtmr_working_set_append(c, &row, direction)) {
         int blocking = ITSELF;
         const double sign = null_direction(c, &row, direction);
         for (int i = 0; i < set->count; ++i) {
@@ -178,10 +178,10 @@ static int enter(gtmr_controller *c, active_row row)
             row.lambda = row.cap;
         } else {
             const int leaves = direction[blocking] < 0.0;
-            active_row other = working_set_remove(c, blocking);
+            active_row other = gtmr_working_set_remove(c, blocking);
             other.soft = 1;
             other.lambda = other.cap;
-            if (!leaves && !working_set_append(c, &other, 1, w)) {
+            if (!leaves && !gtmr_working_set_append(c, &other, w)) {
                 return 0;
             }
         }
@@ -192,7 +192,7 @@ static int enter(gtmr_controller *c, active_row row)
 /* Let go of a row whose multiplier reached 0, or change sides at the cap. */
 static int pass_limit(gtmr_controller *c, int blocking, double direction)
 {
-    active_row row = working_set_remove(c, blocking);
+    active_row row = gtmr_working_set_remove(c, blocking);
     if (direction < 0.0 && !row.soft) {
         return 1;
     }
@@ -210,7 +210,7 @@ static int drop_idle(gtmr_controller *c, const double *direction)
     int dropped = 0;
     for (int i = c->active.count - 1; i >= 0; --i) {
         if (c->active.member[i].lambda == 0.0 && direction[i] < 0.0) {
-            working_set_remove(c, i);
+            gtmr_working_set_remove(c, i);
             ++dropped;
         }
     }
@@ -311,7 +311,7 @@ static int enter_violated(gtmr_controller *c, const double *violation, int worst
         const int row = of[group];
         if (most[group] > TOGETHER * fabs(violation[worst]) && !c->in_set[row]) {
             const active_row enters = violated_row(c, row, violation[row]);
-            working_set_append(c, &enters, 0, w);
+            gtmr_working_set_append(c, &enters, w);
         }
     }
     return 1;
@@ -332,7 +332,7 @@ static void take_up(gtmr_controller *c)
         active_row row = row_at_bound(c, i, multiplier > 0.0 ? 1.0 : -1.0);
         row.lambda = fabs(multiplier) / row.scale;
         row.soft = row.lambda > row.cap;
-        working_set_append(c, &row, 0, w);
+        gtmr_working_set_append(c, &row, w);
     }
 }
 
@@ -351,7 +351,7 @@ static int settle(gtmr_controller *c)
         a->lambda = lambda < least ? least : lambda > most ? most : lambda;
         settled = settled && a->lambda == lambda;
         if (lambda < 0.0) {
-            working_set_remove(c, i);
+            gtmr_working_set_remove(c, i);
         }
     }
     return settled;
@@ -381,7 +381,7 @@ static void keep_multipliers(gtmr_controller *c)
     }
 }
 
-int active_set_solve(gtmr_controller *c)
+int gtmr_active_set_solve(gtmr_controller *c)
 {
     working_set *set = &c->active;
     double change[LD_ACTIVE], violation[N_ROWS];

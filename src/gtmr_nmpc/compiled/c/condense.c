@@ -71,7 +71,7 @@ static void add_margin_row(gtmr_controller *c, int stage)
 {
     double d_x[STAGES + 1][N_X], d_u[STAGES][N_U], costate[LD_XU] = {0.0};
     double *row = c->rows[row_of(stage, CLEARANCE)];
-    margin_gradient(c, stage + 1, d_x, d_u);
+    gtmr_margin_gradient(c, stage + 1, d_x, d_u);
     memcpy(costate, d_x[stage + 1], sizeof d_x[0]);
     for (int k = stage; k >= 0; --k) {
         const interval *at = &c->intervals[k];
@@ -103,7 +103,7 @@ static void measure_rows(gtmr_controller *c)
     }
 }
 
-void condense(gtmr_controller *c)
+void gtmr_condense(gtmr_controller *c)
 {
     response of;
     memset(of, 0, sizeof of);

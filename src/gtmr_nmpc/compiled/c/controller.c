@@ -74,7 +74,7 @@ static void coast(gtmr_controller *c, const double *x, double *next)
     for (int j = 0; j < N_U; ++j) {
         c->lanes_in[N_X + j] = vec_of(0.0);
     }
-    model_linearise(c->lanes_in, c->lanes_out);
+    gtmr_model_linearise(c->lanes_in, c->lanes_out);
     memcpy(next, x, N_X * sizeof(double));
     for (int j = 0; j < BODY; ++j) {
         next[j] = *(const double *)(c->lanes_out + j);
@@ -99,9 +99,9 @@ void gtmr_warm(gtmr_controller *c, int steps)
 void gtmr_prepare(gtmr_controller *c, double t, double margin_scale)
 {
     c->margin_scale = margin_scale;
-    linearise(c, t);
-    clearance_along_iterate(c);
-    riccati_factorise(c);
+    gtmr_linearise(c, t);
+    gtmr_clearance_along_iterate(c);
+    gtmr_riccati_factorise(c);
 }
 
 /* Bounds of a rotor's input and next speed; `start` is its measured speed. */
@@ -140,7 +140,7 @@ static int inequalities(gtmr_controller *c, const double *x)
     double change[STAGES + 1] = {0.0};
     int broken = 0;
     if (with_margin_gradient(c)) {
-        margin_change_along_step(c, change);
+        gtmr_margin_change_along_step(c, change);
     }
     for (int i = 0; i < STAGES; ++i) {
         for (int r = 0; r < N_U; ++r) {
@@ -167,7 +167,7 @@ static double measured_slack(const gtmr_controller *c, const double *x)
 {
     const clearance *now = &c->clearances[0];
     double constraint[3];
-    clearance_at(&c->parameters, x, constraint);
+    gtmr_clearance_at(&c->parameters, x, constraint);
     const double residual = constraint[0] + now->alpha_p + now->alpha_g;
     return residual > 0.0 ? residual : 0.0;
 }
@@ -244,11 +244,11 @@ static int breaks_rotor_limits(const gtmr_controller *c)
 static gtmr_status constrained_step(gtmr_controller *c, const double *dx0, double *slack)
 {
     gtmr_status status = GTMR_SOLVED;
-    condense(c);
-    if (active_set_solve(c) != 0) {
+    gtmr_condense(c);
+    if (gtmr_active_set_solve(c) != 0) {
         return GTMR_FAILED;
     }
-    riccati_rollout(c, dx0, c->v);
+    gtmr_riccati_rollout(c, dx0, c->v);
     if (breaks_rotor_limits(c)) {
         return GTMR_FAILED;
     }
@@ -267,7 +267,7 @@ gtmr_status gtmr_feedback(gtmr_controller *c, const double *x, double *to)
         dx0[j] = x[j] - c->x[0][j];
     }
     memset(c->last.multiplier, 0, sizeof c->last.multiplier);
-    riccati_rollout(c, dx0, NULL);
+    gtmr_riccati_rollout(c, dx0, NULL);
     if (inequalities(c, x)) {
         status = constrained_step(c, dx0, slack);
     }

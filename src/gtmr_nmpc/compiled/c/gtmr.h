@@ -10,7 +10,11 @@
  * The controller of one problem: nominal or robust NMPC in real-time iteration.
  *
  * No heap, no globals: all memory is one block that the caller owns, so several controllers run
- * side by side, one thread each. Units as in the paper: m, rad, m/s, rad/s, rotor speeds in Hz.
+ * side by side, one thread each. What the linker sees begins with gtmr_; two vehicles make two
+ * libraries. Stack: 64 kB are enough for 20 stages and 6 rotors if optimised (-O2, -O3), in
+ * proportion to stages for more; most of it is condense.c's.
+ *
+ * Units as in the paper: m, rad, m/s, rad/s, rotor speeds in Hz.
  */
 #ifndef GTMR_H
 #define GTMR_H

@@ -94,7 +94,7 @@ static void terminal_gradient(gtmr_controller *c, const double *reference)
     }
 }
 
-void linearise(gtmr_controller *c, double t)
+void gtmr_linearise(gtmr_controller *c, double t)
 {
     double follow[2 + sizeof c->parameters.reference / sizeof(double)];
     follow[1] = c->parameters.tower_radius_m;
@@ -103,7 +103,7 @@ void linearise(gtmr_controller *c, double t)
         for (int which = 0; which < VEC; ++which) {
             put(c, smaller(first + which, STAGES - 1), which);
         }
-        model_linearise(c->lanes_in, c->lanes_out);
+        gtmr_model_linearise(c->lanes_in, c->lanes_out);
         for (int which = 0; which < smaller(VEC, STAGES - first); ++which) {
             take(c, first + which, which);
         }
@@ -111,7 +111,7 @@ void linearise(gtmr_controller *c, double t)
     for (int i = 0; i <= STAGES; ++i) {
         double reference[N_H];
         follow[0] = t + i * PERIOD_S;
-        model_reference(follow, reference);
+        gtmr_model_reference(follow, reference);
         if (i < STAGES) {
             cost_gradient(c, i, reference);
         } else {

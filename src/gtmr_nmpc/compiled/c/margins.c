@@ -34,14 +34,14 @@ static double sign(double a)
     return (double)((a > 0.0) - (a < 0.0));
 }
 
-void clearance_at(const gtmr_parameters *parameters, const double *p, double *constraint)
+void gtmr_clearance_at(const gtmr_parameters *parameters, const double *p, double *constraint)
 {
     const double at[5] = {p[0], p[1], p[2], parameters->tower_radius_m,
                           parameters->min_clearance_m};
-    model_clearance(at, constraint);
+    gtmr_model_clearance(at, constraint);
 }
 
-void clearance_along_iterate(gtmr_controller *c)
+void gtmr_clearance_along_iterate(gtmr_controller *c)
 {
     const gtmr_parameters *given = &c->parameters;
     if (is_robust(c)) {
@@ -50,7 +50,7 @@ void clearance_along_iterate(gtmr_controller *c)
     for (int i = 0; i <= STAGES; ++i) {
         clearance *y = &c->clearances[i];
         double constraint[3];
-        clearance_at(given, c->x[i], constraint);
+        gtmr_clearance_at(given, c->x[i], constraint);
         memcpy(y->gradient, constraint + 1, sizeof y->gradient);
         y->alpha_p = c->margin_scale * given->eps_s_m;
         y->alpha_g = c->margin_scale * given->gust_m * i * i;
@@ -85,7 +85,7 @@ static void worst_direction(const gtmr_controller *c, int stage, const double *s
 static void curvature(const double *x, const double *direction, double *of)
 {
     const double at[6] = {x[0], x[1], x[2], direction[0], direction[1], direction[2]};
-    model_curvature(at, of);
+    gtmr_model_curvature(at, of);
 }
 
 static void put(vec *lanes, int which, const double *from, int count)
@@ -122,7 +122,7 @@ static void bending(gtmr_controller *c, const double *signs, int last, double to
             put(in += BODY, which, signs, N_ZETA);
             put(in + N_ZETA, which, c->step[k], N_XU);
         }
-        model_bending(c->lanes_in, c->lanes_out);
+        gtmr_model_bending(c->lanes_in, c->lanes_out);
         for (int which = 0; which < smaller(VEC, last - first); ++which) {
             get(c->lanes_out, which, to[first + which], BODY);
         }
@@ -151,7 +151,7 @@ static void change_with_signs(gtmr_controller *c, int like, int last, double *ch
     }
 }
 
-void margin_change_along_step(gtmr_controller *c, double *change)
+void gtmr_margin_change_along_step(gtmr_controller *c, double *change)
 {
     int done[STAGES + 1] = {0};
     for (int i = 1; i <= STAGES; ++i) {
@@ -181,7 +181,7 @@ static void costates(const gtmr_controller *c, int stage, double lambda[][LD_XU]
     }
 }
 
-void margin_gradient(gtmr_controller *c, int stage, double d_x[][N_X], double d_u[][N_U])
+void gtmr_margin_gradient(gtmr_controller *c, int stage, double d_x[][N_X], double d_u[][N_U])
 {
     const clearance *y = &c->clearances[stage];
     double lambda[STAGES][LD_XU], direction[BODY];
@@ -197,7 +197,7 @@ void margin_gradient(gtmr_controller *c, int stage, double d_x[][N_X], double d_
             put(in += BODY, which, direction, BODY);
             put(in + BODY, which, y->signs, N_ZETA);
         }
-        model_adjoint(c->lanes_in, c->lanes_out);
+        gtmr_model_adjoint(c->lanes_in, c->lanes_out);
         for (int which = 0; which < smaller(VEC, stage - first); ++which) {
             get(c->lanes_out, which, d_x[first + which], N_X);
             get(c->lanes_out + N_X, which, d_u[first + which], N_U);

@@ -168,7 +168,7 @@ static void feedback_law(interval *at, double H[N_XU][LD_XU], const double *g,
     combine(1, LD_X, N_U, reduced, minus_Z[0], LD_X, to->p, LD_X);
 }
 
-void riccati_factorise(gtmr_controller *c)
+void gtmr_riccati_factorise(gtmr_controller *c)
 {
     value_function to_go;
     double W[N_H + N_U][LD_XU], H[N_XU][LD_XU], g[LD_XU];
@@ -181,7 +181,7 @@ void riccati_factorise(gtmr_controller *c)
     }
 }
 
-void riccati_rollout(gtmr_controller *c, const double *dx0, const double *v)
+void gtmr_riccati_rollout(gtmr_controller *c, const double *dx0, const double *v)
 {
     memset(c->step, 0, sizeof c->step);
     memcpy(c->step[0], dx0, N_X * sizeof(double));

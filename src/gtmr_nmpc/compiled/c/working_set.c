@@ -15,7 +15,7 @@
 /* Squared sine of the angle below which a row is taken as dependent on the others. */
 #define DEPENDENT 1e-9
 
-double compliance(const gtmr_controller *c, const active_row *a)
+double gtmr_compliance(const gtmr_controller *c, const active_row *a)
 {
     return a->soft ? a->scale * a->scale / (2.0 * c->parameters.slack_l2) : 0.0;
 }
@@ -35,7 +35,7 @@ static int tile_of(const gtmr_controller *c, int first, const active_row *member
     return length;
 }
 
-void working_set_along(const gtmr_controller *c, const double *v, int length, double *out)
+void gtmr_working_set_along(const gtmr_controller *c, const double *v, int length, double *out)
 {
     const active_row *member[TILE_ROWS];
     const double *row[TILE_ROWS];
@@ -48,7 +48,7 @@ void working_set_along(const gtmr_controller *c, const double *v, int length, do
     }
 }
 
-void working_set_combine(const gtmr_controller *c, const double *by, double *v)
+void gtmr_working_set_combine(const gtmr_controller *c, const double *by, double *v)
 {
     const active_row *member[TILE_ROWS];
     const double *row[TILE_ROWS];
@@ -64,7 +64,7 @@ void working_set_combine(const gtmr_controller *c, const double *by, double *v)
 }
 
 /* Several columns at a time, as each alone waits for the one before it. */
-void working_set_forward(const working_set *set, double *y)
+void gtmr_working_set_forward(const working_set *set, double *y)
 {
     int j = 0;
     while (j < set->count && y[j] == 0.0) {
@@ -93,7 +93,7 @@ void working_set_forward(const working_set *set, double *y)
     }
 }
 
-void working_set_backward(const working_set *set, double *y)
+void gtmr_working_set_backward(const working_set *set, double *y)
 {
     const int whole = set->count - set->count % TILE_ROWS;
     for (int i = set->count; i % VEC != 0; ++i) {
@@ -125,17 +125,17 @@ void working_set_backward(const working_set *set, double *y)
     }
 }
 
-int working_set_append(gtmr_controller *c, const active_row *row, int needed, double *w)
+int gtmr_working_set_append(gtmr_controller *c, const active_row *row, double *w)
 {
     working_set *set = &c->active;
     const int n = set->count;
-    const double own = compliance(c, row);
+    const double own = gtmr_compliance(c, row);
     double diagonal = 1.0 + own;
-    working_set_along(c, c->rows[row->row], row_length(row->row), w);
+    gtmr_working_set_along(c, c->rows[row->row], row_length(row->row), w);
     for (int i = 0; i < n; ++i) {
         w[i] *= row->side * row->scale;
     }
-    working_set_forward(set, w);
+    gtmr_working_set_forward(set, w);
     for (int i = 0; i < n; ++i) {
         diagonal -= w[i] * w[i];
     }
@@ -155,7 +155,7 @@ int working_set_append(gtmr_controller *c, const active_row *row, int needed, do
 }
 
 /* Take a row out of the factor: what it explained is added to the rows behind it. */
-active_row working_set_remove(gtmr_controller *c, int at)
+active_row gtmr_working_set_remove(gtmr_controller *c, int at)
 {
     working_set *set = &c->active;
     active_row out = set->member[at];

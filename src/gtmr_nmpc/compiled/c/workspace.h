@@ -111,47 +111,44 @@ struct gtmr_controller {
 };
 
 /* linearise.c */
-void linearise(gtmr_controller *c, double t);
+void gtmr_linearise(gtmr_controller *c, double t);
 
 /* margins.c */
 
 /* y and J_yx at a position. */
-void clearance_at(const gtmr_parameters *parameters, const double *p, double *constraint);
-void clearance_along_iterate(gtmr_controller *c);
-void margin_change_along_step(gtmr_controller *c, double *change);
-void margin_gradient(gtmr_controller *c, int stage, double d_x[][N_X], double d_u[][N_U]);
+void gtmr_clearance_at(const gtmr_parameters *parameters, const double *p, double *constraint);
+void gtmr_clearance_along_iterate(gtmr_controller *c);
+void gtmr_margin_change_along_step(gtmr_controller *c, double *change);
+void gtmr_margin_gradient(gtmr_controller *c, int stage, double d_x[][N_X], double d_u[][N_U]);
 
 /* riccati.c */
-void riccati_factorise(gtmr_controller *c);
-void riccati_rollout(gtmr_controller *c, const double *dx0, const double *v);
+void gtmr_riccati_factorise(gtmr_controller *c);
+void gtmr_riccati_rollout(gtmr_controller *c, const double *dx0, const double *v);
 
 /* condense.c: the rows of the inequalities in v. */
-void condense(gtmr_controller *c);
+void gtmr_condense(gtmr_controller *c);
 
 /* working_set.c */
 
 /* What a soft row adds to the diagonal of the Gram matrix: slack per multiplier. */
-double compliance(const gtmr_controller *c, const active_row *a);
+double gtmr_compliance(const gtmr_controller *c, const active_row *a);
 
-/*
- * Extend the factor by a row; 0 if it depends on the others, or may, and is not `needed`. w gets
- * L^-1 times its Gram row if it is needed.
- */
-int working_set_append(gtmr_controller *c, const active_row *row, int needed, double *w);
-active_row working_set_remove(gtmr_controller *c, int at);
+/* Extend the factor by a row; 0 if it depends on the others. w: L^-1 times its Gram row. */
+int gtmr_working_set_append(gtmr_controller *c, const active_row *row, double *w);
+active_row gtmr_working_set_remove(gtmr_controller *c, int at);
 
 /* Products of the set's rows, scaled and on their sides, with v, of which `length` count. */
-void working_set_along(const gtmr_controller *c, const double *v, int length, double *out);
+void gtmr_working_set_along(const gtmr_controller *c, const double *v, int length, double *out);
 
 /* Add a combination of the set's rows, scaled and on their sides. */
-void working_set_combine(const gtmr_controller *c, const double *by, double *v);
+void gtmr_working_set_combine(const gtmr_controller *c, const double *by, double *v);
 
 /* Solve L y = y and L' y = y for the factor L; what is behind the end of y is overwritten. */
-void working_set_forward(const working_set *set, double *y);
-void working_set_backward(const working_set *set, double *y);
+void gtmr_working_set_forward(const working_set *set, double *y);
+void gtmr_working_set_backward(const working_set *set, double *y);
 
 /* active_set.c: 0 if solved. */
-int active_set_solve(gtmr_controller *c);
+int gtmr_active_set_solve(gtmr_controller *c);
 
 static inline int is_robust(const gtmr_controller *c)
 {
