@@ -10,8 +10,9 @@
 
 from gtmr_monitor.bag.flight import read_flight, read_flights
 from gtmr_monitor.bag.format import BagError
+from gtmr_monitor.bag.qos import OfferedQos
 from gtmr_monitor.bag.reader import BagMessage, TruncatedBagWarning, read_messages
-from gtmr_monitor.bag.writer import BagWriter, OfferedQos
+from gtmr_monitor.bag.writer import BagWriter
 from gtmr_monitor.flight import Flight, MarginHistory
 from gtmr_monitor.residual import residual_statistics, solve_statistics
 

@@ -31,7 +31,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from gtmr_model import ConfigError, Tower, YamlModel
 from gtmr_monitor.agreement import NAMES, TowerAgreement
 from gtmr_monitor.bag.format import BagError, without_tail
-from gtmr_monitor.bag.writer import OfferedQos
+from gtmr_monitor.bag.qos import OfferedQos
 from gtmr_monitor.recorder import Recorder
 from gtmr_monitor.residual import ResidualWatch
 from gtmr_msgs_py import topics
@@ -82,7 +82,7 @@ class MonitorParameters(YamlModel):
         return value
 
 
-class Vehicle:
+class WatchedVehicle:
     """One of the vehicles that a monitor watches: its residual, and what is published of it.
 
     Parameters
@@ -154,7 +154,7 @@ class MonitorNode(SuiteNode):
 
     def allocate(self) -> None:
         """Open the bag, which must be new or empty."""
-        self._vehicles = [Vehicle(self, name) for name in self._settings.value.namespaces]
+        self._vehicles = [WatchedVehicle(self, name) for name in self._settings.value.namespaces]
         self._recording = self._record_into(self._settings.value.bag)
         self._status = topics.DIAGNOSTICS.publisher(self)
 
@@ -242,7 +242,7 @@ class MonitorNode(SuiteNode):
             if event.node in vehicle.nodes:
                 vehicle.towers.take(vehicle.nodes[event.node], values)
 
-    def _on_odometry(self, vehicle: Vehicle, data: bytes, info: Info) -> None:
+    def _on_odometry(self, vehicle: WatchedVehicle, data: bytes, info: Info) -> None:
         came_ns = received_ns(info)
         self._write(vehicle.odometry_name, data, came_ns, info["source_timestamp"])
         tower = self._settings.value.tower
@@ -294,7 +294,7 @@ class MonitorNode(SuiteNode):
         for vehicle in self._vehicles:
             self._diagnose_vehicle(vehicle)
 
-    def _diagnose_vehicle(self, vehicle: Vehicle) -> None:
+    def _diagnose_vehicle(self, vehicle: WatchedVehicle) -> None:
         watch, recording, tower = vehicle.watch, self._recording, self._settings.value.tower
         unwritten = recording.unwritten if recording is not None else 0
         level, message = Level.OK, "clear of the tower"

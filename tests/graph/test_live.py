@@ -24,7 +24,7 @@ from gtmr_model import Tower, Vehicle
 from gtmr_msgs_py import contract, topics
 from gtmr_msgs_py.messages import clearance, markers, path, tightening
 from gtmr_msgs_py.wire import stamps
-from gtmr_study.cli import app as cli
+from gtmr_study.cli import demo
 from gtmr_study.result_files import InputError
 
 viser = pytest.importorskip("viser", reason="viser is not installed: pip install viser")
@@ -177,4 +177,4 @@ def test_without_viser_the_demo_says_what_to_install(monkeypatch):
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(InputError, match="--live needs viser: pip install"):
-        cli._live_view(DURATION_S, ["robust"])
+        demo._live_view(DURATION_S, ["robust"])

@@ -25,8 +25,9 @@ from rosbags.interfaces import QosDurability, QosReliability
 from support.written_bags import FLOAT64, ODOMETRY, cdr, new, odometry
 
 from gtmr_monitor.bag.format import BagError
+from gtmr_monitor.bag.qos import OfferedQos
 from gtmr_monitor.bag.reader import TruncatedBagWarning, bag_files, read_messages
-from gtmr_monitor.bag.writer import BagWriter, OfferedQos
+from gtmr_monitor.bag.writer import BagWriter
 
 WRITTEN = [
     item

@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, Literal, cast
+from typing import IO, Any, cast
 
 import yaml
 from mcap.well_known import SchemaEncoding
@@ -25,6 +25,7 @@ from mcap.writer import CompressionType, Writer
 from typing_extensions import Self
 
 from gtmr_monitor.bag.format import BagError, typestore
+from gtmr_monitor.bag.qos import OfferedQos
 
 METADATA_VERSION = 9
 """Version of rosbag2's metadata.yaml, Jazzy's."""
@@ -33,33 +34,6 @@ ROS_DISTRO = "jazzy"
 FLUSH_PERIOD_S = 0.5
 """Age at which a chunk is closed and handed to the operating system [s]. A killed writer loses
 what is younger; half of the second that may be lost leaves room for a busy machine."""
-_FOREVER = {"sec": 9223372036, "nsec": 854775807}
-
-
-@dataclass(frozen=True)
-class OfferedQos:
-    """Quality of service of a topic's publishers, as the bag tells it to a player."""
-
-    depth: int = 10
-    """How many messages the publisher keeps."""
-    reliability: Literal["reliable", "best_effort"] = "reliable"
-    """Whether messages are sent again until they arrive."""
-    durability: Literal["volatile", "transient_local"] = "volatile"
-    """Whether late subscribers get the last messages."""
-
-    def profile(self) -> dict[str, Any]:
-        """Return one entry of ``offered_qos_profiles``, metadata version 9."""
-        return {
-            "history": "keep_last",
-            "depth": self.depth,
-            "reliability": self.reliability,
-            "durability": self.durability,
-            "deadline": dict(_FOREVER),
-            "lifespan": dict(_FOREVER),
-            "liveliness": "automatic",
-            "liveliness_lease_duration": dict(_FOREVER),
-            "avoid_ros_namespace_conventions": False,
-        }
 
 
 @dataclass
