@@ -20,14 +20,7 @@ class InputError(ValueError):
 
 
 def require_new_file(option: str, path: Path | None) -> None:
-    """Check that a file can be written without overwriting anything.
-
-    Parameters
-    ----------
-    option : str
-        The option that gave the path, for the message.
-    path : pathlib.Path or None
-        None passes.
+    """Check that the file of an option can be written without overwriting anything; None passes.
 
     Raises
     ------
@@ -42,14 +35,7 @@ def require_new_file(option: str, path: Path | None) -> None:
 
 
 def require_folder_of(option: str, path: Path | None) -> None:
-    """Check that the folder of a file exists.
-
-    Parameters
-    ----------
-    option : str
-        The option that gave the path, for the message.
-    path : pathlib.Path or None
-        None passes.
+    """Check that the folder of an option's file exists; None passes.
 
     Raises
     ------
@@ -65,14 +51,7 @@ def require_folder_of(option: str, path: Path | None) -> None:
 
 
 def require_empty_folder(option: str, path: Path) -> None:
-    """Check that a folder is new or empty.
-
-    Parameters
-    ----------
-    option : str
-        The option that gave the path, for the message.
-    path : pathlib.Path
-        The folder; it need not exist.
+    """Check that the folder of an option is new or empty.
 
     Raises
     ------
@@ -86,15 +65,7 @@ def require_empty_folder(option: str, path: Path) -> None:
 
 
 def write_json(path: Path | None, result: dict[str, Any]) -> None:
-    """Write a result as JSON, whole or not at all.
-
-    Parameters
-    ----------
-    path : pathlib.Path or None
-        None writes nothing.
-    result : dict
-        Plain data.
-    """
+    """Write a result as JSON, whole or not at all; None as path writes nothing."""
     if path is None:
         return
     part = path.with_name(path.name + ".part")

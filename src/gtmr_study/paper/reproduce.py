@@ -90,10 +90,8 @@ def reproduce(
         How much is flown.
     folder : pathlib.Path
         New, empty, or of the same reproduction; it is also the folder of the campaign.
-    n_workers : int, optional
-        Processes on this machine; one per processor if left out.
-    scheduler : str, optional
-        Address of a running Dask scheduler, instead.
+    n_workers, scheduler
+        Where, see `cluster.workers`.
     on_progress : callable, optional
         Called while flying.
     command : str

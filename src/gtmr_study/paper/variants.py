@@ -92,18 +92,7 @@ def fly_variants(
     folder: Path,
     on_progress: Callable[[int, int], None],
 ) -> list[dict[str, Any]]:
-    """Fly what is missing of variants.
-
-    Parameters
-    ----------
-    client : distributed.Client
-        The workers.
-    made : sequence of Variant
-        The variants.
-    folder : pathlib.Path
-        Every variant has its campaign in a folder in it, and goes on with what is there.
-    on_progress : callable
-        Told how many are done, and of how many.
+    """Fly what is missing of variants, each a campaign in a folder of its own in ``folder``.
 
     Returns
     -------

@@ -29,7 +29,7 @@ from gtmr_nmpc import Controller, ControllerConfig, Mode
 from gtmr_nmpc.config import Tightening
 from gtmr_sim import GustConfig, Scenario, Simulation
 from gtmr_study.rivals.do_mpc import DoMpcRival
-from gtmr_study.rivals.nlp import InspectionNlp, Plan
+from gtmr_study.rivals.nlp import InspectionNlp, NlpSolution
 
 Array = NDArray[np.float64]
 
@@ -149,7 +149,7 @@ def time_controller(
     """
     controller = Controller(ControllerConfig(tightening=tightening), mode)
     timings: dict[str, list[float]] = {"prepare": [], "feedback": [], "step": []}
-    for _, t, x in _numbered(situation, controller.reset):
+    for t, x in _in_flight(situation, controller.reset):
         start = time.perf_counter()
         solution = controller.step(t, x)
         timings["step"].append(time.perf_counter() - start)
@@ -175,8 +175,8 @@ def time_rivals(situation: Situation, steps: int, rivals: Rivals) -> dict[str, d
     assert isinstance(ipopt, InspectionNlp)
     for name, nlp in rivals.items():
         seconds, costs[name] = [], []
-        plan: Plan | None = None
-        for _, t, x in _numbered(first, lambda: None):
+        plan: NlpSolution | None = None
+        for t, x in _in_flight(first, lambda: None):
             start = time.perf_counter()
             plan = nlp.solve(t, x, np.zeros(config.horizon + 1), plan)
             seconds.append(time.perf_counter() - start)
@@ -184,7 +184,7 @@ def time_rivals(situation: Situation, steps: int, rivals: Rivals) -> dict[str, d
         figures[name] = _percentiles(seconds[1:])
     controller = Controller(config, "nominal")
     seconds, costs["gtmr"] = [], []
-    for _, t, x in _numbered(first, controller.reset):
+    for t, x in _in_flight(first, controller.reset):
         start = time.perf_counter()
         solution = controller.step(t, x)
         seconds.append(time.perf_counter() - start)
@@ -198,12 +198,9 @@ def time_rivals(situation: Situation, steps: int, rivals: Rivals) -> dict[str, d
 
 
 def make_rivals(config: ControllerConfig) -> Rivals:
-    """State the nominal problem for every general solver; takes about a minute.
+    """State the nominal problem for every general solver, by name; takes about a minute.
 
-    Returns
-    -------
-    dict
-        By name; do-mpc is among them where it is installed.
+    do-mpc is among them where it is installed.
     """
     rivals: Rivals = {
         name: InspectionNlp(config, solver, options, condensed=condensed)
@@ -215,16 +212,14 @@ def make_rivals(config: ControllerConfig) -> Rivals:
     return rivals
 
 
-def _numbered(
-    situation: Situation, reset: Callable[[], None]
-) -> Iterator[tuple[int, float, Array]]:
+def _in_flight(situation: Situation, reset: Callable[[], None]) -> Iterator[tuple[float, Array]]:
     """Go through the states; where a flight starts anew, the warm start is dropped."""
     last = np.inf
-    for k, (t, x) in enumerate(situation.steps):
+    for t, x in situation.steps:
         if t < last:
             reset()
         last = t
-        yield k, t, x
+        yield t, x
 
 
 def _percentiles(seconds: list[float]) -> dict[str, float]:

@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Plan:
+class NlpSolution:
     """A solution of the program."""
 
     x: Array
@@ -106,7 +106,9 @@ class InspectionNlp:
         self._condensed = condensed
         self._states = ca.Function("states", [x0, u], [x]) if condensed else None
 
-    def solve(self, t: float, x0: Array, alpha: Array | None, guess: Plan | None) -> Plan:
+    def solve(
+        self, t: float, x0: Array, alpha: Array | None, guess: NlpSolution | None
+    ) -> NlpSolution:
         """Solve for one measured state.
 
         Parameters
@@ -117,7 +119,7 @@ class InspectionNlp:
             Measured state; its yaw near the helix's.
         alpha : NDArray, shape (N + 1,), or None
             Margins [m]; None where they are terms of the plan.
-        guess : Plan or None
+        guess : NlpSolution or None
             Where to start; None for the state held over the horizon.
 
         Raises
@@ -126,29 +128,28 @@ class InspectionNlp:
             If the solver says that it failed, other than by its iteration limit.
         """
         vehicle, n = self.config.vehicle, self.config.horizon
-        reference = self._reference(t)
-        start = guess or Plan(
+        reference = references(self.config, t)
+        start = guess or NlpSolution(
             np.tile(x0, (n + 1, 1)), np.zeros((n, vehicle.n_rotors)), np.zeros(n), np.inf
         )
-        lower = np.full((n + 1, vehicle.n_x), -np.inf)
-        upper = np.full((n + 1, vehicle.n_x), np.inf)
-        lower[1:, ROTORS], upper[1:, ROTORS] = (
-            vehicle.min_rotor_speed_hz,
-            vehicle.max_rotor_speed_hz,
-        )
+        lower, upper = (np.full((n + 1, vehicle.n_x), bound) for bound in (-np.inf, np.inf))
+        lower[1:, ROTORS] = vehicle.min_rotor_speed_hz
+        upper[1:, ROTORS] = vehicle.max_rotor_speed_hz
         lower[0] = upper[0] = x0
         limit = np.full(n * vehicle.n_rotors, vehicle.max_rotor_acceleration_hz_s)
         rest = np.r_[start.u.ravel(), start.slack]
         lower_rest, upper_rest = np.r_[-limit, np.zeros(n)], np.r_[limit, np.full(n, np.inf)]
         data = np.r_[reference.ravel(), alpha[1:] if alpha is not None else []]
+        # The clearance is bounded from above alone.
+        unbounded, none = np.full(n, -np.inf), np.zeros(n)
         if self._condensed:
             result = self._solver(
                 x0=rest,
                 p=np.r_[x0, data],
                 lbx=lower_rest,
                 ubx=upper_rest,
-                lbg=np.r_[lower[1:, ROTORS].ravel(), np.full(n, -np.inf)],
-                ubg=np.r_[upper[1:, ROTORS].ravel(), np.zeros(n)],
+                lbg=np.r_[lower[1:, ROTORS].ravel(), unbounded],
+                ubg=np.r_[upper[1:, ROTORS].ravel(), none],
             )
         else:
             result = self._solver(
@@ -156,7 +157,7 @@ class InspectionNlp:
                 p=data,
                 lbx=np.r_[lower.ravel(), lower_rest],
                 ubx=np.r_[upper.ravel(), upper_rest],
-                lbg=np.r_[np.zeros(n * vehicle.n_x), np.full(n, -np.inf)],
+                lbg=np.r_[np.zeros(n * vehicle.n_x), unbounded],
                 ubg=0.0,
             )
         stats = self._solver.stats()
@@ -170,30 +171,13 @@ class InspectionNlp:
         else:
             x_plan = flat[:states].reshape(n + 1, -1)
             u_plan = flat[states : states + inputs].reshape(n, -1)
-        return Plan(x=x_plan, u=u_plan, slack=flat[-n:], cost=float(result["f"]))
+        return NlpSolution(x=x_plan, u=u_plan, slack=flat[-n:], cost=float(result["f"]))
 
     def cost(self, t: float, x: Array, u: Array, slack: Array) -> float:
-        """Evaluate the objective at a plan; not for condensed programs.
-
-        Parameters
-        ----------
-        t : float
-            Time of stage 0 [s].
-        x : NDArray, shape (N + 1, 12 + N_p)
-            States.
-        u : NDArray, shape (N, N_p)
-            Rotor accelerations [Hz/s].
-        slack : NDArray, shape (N,)
-            Slack of stages 1..N [m].
-        """
+        """Evaluate the objective at a plan; not for condensed programs."""
         if self._cost is None:
             raise ValueError("a condensed program has no states to evaluate its cost at")
-        return float(self._cost(x.T, u.T, slack, self._reference(t).T))
-
-    def _reference(self, t: float) -> Array:
-        times = t + self.config.sampling_time_s * np.arange(self.config.horizon + 1)
-        at = self.config.helix.at(times, self.config.tower)
-        return np.hstack([at.position, at.velocity, at.acceleration, at.yaw[:, None]])
+        return float(self._cost(x.T, u.T, slack, references(self.config, t).T))
 
 
 def _discrete(config: ControllerConfig) -> tuple[ca.Function, ca.Function]:
@@ -244,25 +228,47 @@ def _shooting(
 
 
 def _cost(config: ControllerConfig, x: ca.MX, u: ca.MX, reference: ca.MX) -> ca.MX:
-    """Cost of eq. (6) with this project's terms on attitude and rate; no penalty on slacks."""
-    w, vehicle = config.weights, config.vehicle
-    xs, us, zs, ws = symbols(vehicle)
-    dynamics = ca.Function("f", [xs, us, zs, ws], [state_derivative(xs, us, zs, ws, vehicle)])
-    yaw_rate = config.helix.at(0.0, config.tower).yaw_rate[0]
-
-    def weighted(weights: tuple[float, ...], error: ca.MX) -> ca.MX:
-        return ca.dot(ca.DM(weights), error * error)
-
+    """Cost over the horizon; no penalty on slacks."""
+    xs, us, zs, ws = symbols(config.vehicle)
+    rate = state_derivative(xs, us, zs, ws, config.vehicle)
+    dynamics = ca.Function("f", [xs, us, zs, ws], [rate])
     cost = ca.MX(0.0)
     for i in range(config.horizon):
-        r, xi = reference[:, i], x[:, i]
-        rate = dynamics(xi, u[:, i], ca.DM.zeros(N_ZETA), ca.DM.zeros(3))
-        attitude = xi[ATTITUDE]
-        cost += weighted(w.position, xi[POSITION] - r[0:3])
-        cost += weighted(w.velocity, xi[VELOCITY] - r[3:6])
-        cost += weighted(w.acceleration, rate[VELOCITY] - r[6:9])
-        cost += w.roll_pitch * ca.sumsqr(attitude[:2]) + w.yaw * (attitude[2] - r[9]) ** 2
-        cost += w.rate * ca.sumsqr(xi[RATE] - ca.DM([0.0, 0.0, yaw_rate]))
-        cost += w.rotor_acceleration * ca.sumsqr(u[:, i])
+        xi, ui = x[:, i], u[:, i]
+        acceleration = dynamics(xi, ui, ca.DM.zeros(N_ZETA), ca.DM.zeros(3))[VELOCITY]
+        cost += stage_cost(config, xi, ui, acceleration, reference[:, i])
     last = config.horizon
-    return cost + weighted(w.terminal_position, x[POSITION, last] - reference[0:3, last])
+    return cost + terminal_cost(config, x[:, last], reference[:, last])
+
+
+def stage_cost(config: ControllerConfig, x: Any, u: Any, acceleration: Any, r: Any) -> Any:
+    """Cost of a stage, eq. (6) with this project's terms on attitude and rate.
+
+    The reference r is position, velocity, acceleration and yaw, 10 numbers.
+    """
+    w, attitude = config.weights, x[ATTITUDE]
+    yaw_rate = config.helix.at(0.0, config.tower).yaw_rate[0]
+    return (
+        _weighted(w.position, x[POSITION] - r[0:3])
+        + _weighted(w.velocity, x[VELOCITY] - r[3:6])
+        + _weighted(w.acceleration, acceleration - r[6:9])
+        + w.roll_pitch * ca.sumsqr(attitude[:2])
+        + w.yaw * (attitude[2] - r[9]) ** 2
+        + w.rate * ca.sumsqr(x[RATE] - ca.DM([0.0, 0.0, yaw_rate]))
+        + w.rotor_acceleration * ca.sumsqr(u)
+    )
+
+
+def terminal_cost(config: ControllerConfig, x: Any, r: Any) -> Any:
+    """Cost of the last stage, eq. (6), with the reference as `stage_cost` takes it."""
+    return _weighted(config.weights.terminal_position, x[POSITION] - r[0:3])
+
+
+def _weighted(weights: tuple[float, ...], error: Any) -> Any:
+    return ca.dot(ca.DM(weights), error * error)
+
+
+def references(config: ControllerConfig, t: float) -> Array:
+    """Look up the references of a horizon that begins at t [s], shape (N + 1, 10)."""
+    at = config.helix.at(t + config.sampling_time_s * np.arange(config.horizon + 1), config.tower)
+    return np.hstack([at.position, at.velocity, at.acceleration, at.yaw[:, None]])
