@@ -253,12 +253,15 @@ class MonitorNode(SuiteNode):
             self.get_logger().warning(f"ignored: {error}", throttle_duration_sec=WARNING_PERIOD_S)
             return
         residual_m = float(tower.residual(x))
+        begins = vehicle.order.newest_ns is None
         ended = vehicle.update(stamp_ns, residual_m)
         if ended is not None:
             self.get_logger().info(
                 f"another flight begins at {stamps.seconds(stamp_ns):g} s; the one before had "
                 f"{ended.violations} violations, residual at most {ended.worst_m:.3f} m"
             )
+        if begins or ended is not None:
+            self.tell_parameters()
         distance = clearance.encode(stamp_ns, float(tower.clearance(x)), tower.min_clearance_m)
         # With the odometry's time in the bag, so that they stay together.
         self._publish(vehicle.clearance, distance, came_ns)

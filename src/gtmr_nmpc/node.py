@@ -223,6 +223,8 @@ class NmpcNode(SuiteNode):
         self._performance.add(solution, time.perf_counter() - self._arrival)
         self._publish_step(stamp_ns, solution)
         self._controller.prepare(stamps.seconds(self._schedule.next_ns))
+        if due is Due.RESTART:
+            self.tell_parameters()
         self._publish_scene(stamp_ns, solution)
 
     def _take_state(self) -> Stamped | None:
@@ -295,7 +297,9 @@ class NmpcNode(SuiteNode):
         performance, config = self._performance, self._settings.value
         last = performance.last
         level, message = Level.OK, "in time"
-        if performance.steps == self._steps_reported:
+        if not self._recorders_listen():
+            level, message = Level.STALE, "waiting for a recorder"
+        elif performance.steps == self._steps_reported:
             level, message = Level.STALE, "no odometry to act upon"
         elif performance.count("failed"):
             level, message = Level.ERROR, "the QP solver gave up"

@@ -171,7 +171,9 @@ class SimNode(SuiteNode):
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose, clock=wall)
         topics.ROTOR_COMMAND.subscription(self, self._on_command, topics.NEWEST, raw=True)
         zeta = ", ".join(f"{value:.3g}" for value in scenario.zeta)
-        self.get_logger().info(f"{scenario.vehicle.name}, zeta = [{zeta}], awaits a controller")
+        self.get_logger().info(
+            f"{scenario.vehicle.name}, zeta = [{zeta}], waits for {self._missing()}"
+        )
 
     def _set_pace(self) -> None:
         scenario = self._settings.value
@@ -209,6 +211,7 @@ class SimNode(SuiteNode):
         if first and taken:
             self._reported = (time.monotonic(), self._session.stamp_ns)
             self.get_logger().info("flying")
+            self.tell_parameters()
         if taken:
             self._tick_if_unpaced()
 
@@ -246,9 +249,19 @@ class SimNode(SuiteNode):
         """Whether the controller and all recorders are there; asked for only before the start."""
         if self._session.started:
             return True
-        listeners = 1 + self._settings.value.recorders
-        counts = [p.get_subscription_count() for p in (self._odometry, self._rotor_states)]
-        return min(counts) >= listeners
+        return self._listeners() >= 1 + self._settings.value.recorders
+
+    def _listeners(self) -> int:
+        return min(p.get_subscription_count() for p in (self._odometry, self._rotor_states))
+
+    def _missing(self) -> str:
+        """Say who keeps the flight from starting."""
+        commands = self.count_publishers(self.resolve_topic_name(topics.ROTOR_COMMAND.name))
+        recorders = self._settings.value.recorders - (self._listeners() - min(commands, 1))
+        missing = [] if commands else ["a controller"]
+        if recorders > 0:
+            missing.append("a recorder" if recorders == 1 else f"{recorders} recorders")
+        return " and ".join(missing) or "the controller's first command"
 
     def _end(self) -> None:
         """End the process once every recorder has acknowledged the whole flight."""
@@ -284,7 +297,7 @@ class SimNode(SuiteNode):
         held = stamps.seconds(session.stamp_ns - then_ns) / (now - then)
         level, message = Level.OK, "flying"
         if not session.started:
-            level, message = Level.STALE, "waiting for a controller"
+            level, message = Level.STALE, f"waiting for {self._missing()}"
         elif session.paused:
             message = "paused"
         elif session.over:
@@ -293,6 +306,15 @@ class SimNode(SuiteNode):
             level, message = Level.WARN, "no new commands: playing the rest of the last plan"
         elif 0.0 <= held < PACE_HELD * scenario.real_time_factor:
             level, message = Level.WARN, "slower than real_time_factor asks for"
+        clock = self._clock_time.topic_name
+        if self.count_publishers(clock) > 1:
+            level = max(level, Level.WARN)
+            message += f"; {clock} has several publishers"
+            self.get_logger().warning(
+                f"{clock} has several publishers, and so several times: give each simulator a "
+                "namespace and remap /clock to clock, or a ROS_DOMAIN_ID of its own",
+                throttle_duration_sec=WARNING_PERIOD_S,
+            )
         self._diagnostics.publish(
             diagnostics.encode(
                 # Nobody else knows the time that is made here.

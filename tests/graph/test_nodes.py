@@ -21,6 +21,7 @@ from gtmr_model.dynamics import ROTORS
 from gtmr_msgs_py import topics
 from gtmr_msgs_py.messages import odometry, rotor_command, rotor_states, tightening
 from gtmr_msgs_py.node import diagnostics
+from gtmr_msgs_py.node.parameter_events import PARAMETER_EVENTS
 from gtmr_msgs_py.wire import stamps
 from gtmr_nmpc import Controller
 from gtmr_sim import Scenario, fly
@@ -174,6 +175,49 @@ def test_the_flight_starts_only_once_a_controller_answers(graph):
     assert {odometry.decode(msg)[0] for msg in graph.received["odom"]} == {0}
     graph.start(NMPC)
     graph.wait_until(lambda: odometry.decode(graph.received["odom"][-1])[0] > 10**8)
+
+
+def test_who_keeps_a_flight_from_starting_is_named(graph):
+    graph.listen([topics.DIAGNOSTICS])
+
+    def told(node, message):
+        statuses = [msg.status[0] for msg in graph.received["/diagnostics"]]
+        return any(s.name.startswith(node) and s.message == message for s in statuses)
+
+    sim = graph.start(SIM, recorders="1")
+    graph.wait_until(lambda: told("sim", "waiting for a controller and a recorder"))
+    assert "waits for a controller and a recorder" in sim.output
+    graph.start(NMPC, recorders="1")
+    graph.wait_until(lambda: told("sim", "waiting for a recorder"))
+    graph.wait_until(lambda: told("nmpc", "waiting for a recorder"))
+
+
+def test_another_clock_beside_that_of_the_simulator_is_told(graph):
+    graph.listen([topics.DIAGNOSTICS])
+    topics.CLOCK.publisher(graph.node)
+    sim = graph.start(SIM)
+    statuses = graph.received["/diagnostics"]
+    graph.wait_until(lambda: any("/clock has several" in m.status[0].message for m in statuses))
+    assert "/clock has several publishers" in sim.output
+
+
+def test_all_parameters_are_told_again_when_a_flight_begins(graph):
+    graph.listen([PARAMETER_EVENTS])
+    nmpc = graph.start(NMPC)
+    graph.wait_until(lambda: "every 25 ms" in nmpc.output)
+    graph.received[PARAMETER_EVENTS.name].clear()
+
+    def told(node, name):
+        events = [m for m in graph.received[PARAMETER_EVENTS.name] if m.node == node]
+        return any(name in [p.name for p in event.new_parameters] for event in events)
+
+    graph.start(SIM)
+    graph.wait_until(lambda: told("/nmpc", "weights.position"))
+    graph.wait_until(lambda: told("/sim", "zeta"))
+    graph.received[PARAMETER_EVENTS.name].clear()
+    assert graph.call(Trigger, "sim/reset", Trigger.Request()).success
+    graph.wait_until(lambda: told("/nmpc", "weights.position"))
+    graph.wait_until(lambda: told("/sim", "zeta"))
 
 
 def test_the_simulator_plays_the_rest_of_the_plan_when_commands_go_missing(graph):

@@ -16,6 +16,7 @@ from typing import Any
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from gtmr_model import ConfigError
+from gtmr_msgs_py.node.parameter_events import PARAMETER_EVENTS, own_parameters
 
 
 class SuiteNode(LifecycleNode):
@@ -40,6 +41,16 @@ class SuiteNode(LifecycleNode):
         self.over = False
         """Whether it has done what it was started for, so that its process may end."""
         self._kept: list[list[Any]] = []
+        self._parameters_again = PARAMETER_EVENTS.publisher(self)
+
+    def tell_parameters(self) -> None:
+        """Publish all parameters again as a flight begins, for a recorder that came since.
+
+        What rclpy publishes when they are declared is long gone by then.
+        """
+        event = own_parameters(self)
+        event.stamp = self.get_clock().now().to_msg()
+        self._parameters_again.publish(event)
 
     def start(self) -> None:
         """Do at once what lifecycle services else ask for.
@@ -80,6 +91,7 @@ class SuiteNode(LifecycleNode):
             self._destroy_all_but(before)
             return TransitionCallbackReturn.FAILURE
         self._kept.append(before)
+        self.get_logger().info("configured")
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -87,18 +99,21 @@ class SuiteNode(LifecycleNode):
         self._kept.append(self._made())
         self.connect()
         self.connected = True
+        self.get_logger().info("active")
         return TransitionCallbackReturn.SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Disconnect."""
         self.connected = False
         self._destroy_all_but(self._kept.pop())
+        self.get_logger().info("inactive")
         return TransitionCallbackReturn.SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Release."""
         self.release()
         self._destroy_all_but(self._kept.pop())
+        self.get_logger().info("cleaned up")
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -108,6 +123,7 @@ class SuiteNode(LifecycleNode):
             if len(self._kept) == 1:
                 self.release()
             self._destroy_all_but(self._kept.pop())
+        self.get_logger().info("shut down")
         return TransitionCallbackReturn.SUCCESS
 
     def _made(self) -> list[Any]:
