@@ -22,6 +22,21 @@ os.environ.update(ros_environment())
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 
 
+SHARED = ("flown", "reproduced", "flights")
+"""Fixtures that fly for seconds, once: whoever uses one runs where it was made."""
+
+
+def pytest_collection_modifyitems(items):
+    """Say which tests stay together on one of several workers."""
+    for item in items:
+        shared = [name for name in SHARED if name in getattr(item, "fixturenames", ())]
+        # Real time needs a core for itself: one graph at a time.
+        if item.path.parent.name == "graph" or item.path.stem == "test_mcap_core":
+            item.add_marker(pytest.mark.xdist_group("graph"))
+        elif shared:
+            item.add_marker(pytest.mark.xdist_group(shared[0]))
+
+
 @pytest.fixture
 def gtmr(monkeypatch, capsys):
     """Run the command line in this process: another takes longer to start than most commands."""
