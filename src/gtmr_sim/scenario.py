@@ -84,7 +84,7 @@ class Scenario(YamlModel):
     vehicle: NamedVehicle = Field(default_factory=Vehicle.paper)
     """Nominal parameters, from which ``zeta`` deviates."""
     tower: Tower = Tower()
-    """What is flown round."""
+    """What is flown around."""
     helix: Helix = Helix()
     """Where the flight starts: on the reference, at its velocity."""
     uncertainty: UncertaintySet = UncertaintySet()

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gtmr_model import CHANNELS, ConfigError, UncertaintySet
-from gtmr_study.campaign.plans import Plan
+from gtmr_study.campaign.plans import TrialPlan
 from gtmr_study.campaign.study import Study, trial_seed
 
 BOX = UncertaintySet()
@@ -25,14 +25,14 @@ def zetas(study):
 
 
 def test_vertices_are_all_512_corners_once():
-    flown = zetas(Study(plan=Plan(kind="vertices")))
+    flown = zetas(Study(plan=TrialPlan(kind="vertices")))
 
     assert len(flown) == len(np.unique(flown, axis=0)) == 512
     np.testing.assert_array_equal(np.abs(flown), np.tile(BOX.half_widths, (512, 1)))
 
 
 def test_fewer_trials_than_vertices_are_a_fair_choice():
-    flown = zetas(Study(plan=Plan(kind="vertices"), trials=40))
+    flown = zetas(Study(plan=TrialPlan(kind="vertices"), trials=40))
 
     assert len(np.unique(flown, axis=0)) == 40
     # The first vertices in order would all have the same sign of the mass.
@@ -40,7 +40,7 @@ def test_fewer_trials_than_vertices_are_a_fair_choice():
 
 
 def test_one_at_a_time_varies_one_channel_and_reaches_both_bounds():
-    flown = zetas(Study(plan=Plan(kind="one-at-a-time", levels=3)))
+    flown = zetas(Study(plan=TrialPlan(kind="one-at-a-time", levels=3)))
 
     assert len(flown) == 1 + 2 * len(CHANNELS)
     assert ((flown != 0.0).sum(axis=1) <= 1).all()
@@ -49,7 +49,7 @@ def test_one_at_a_time_varies_one_channel_and_reaches_both_bounds():
 
 
 def test_a_grid_covers_two_channels_evenly():
-    flown = zetas(Study(plan=Plan(kind="grid", channels=("w_bx", "w_by"), levels=4)))
+    flown = zetas(Study(plan=TrialPlan(kind="grid", channels=("w_bx", "w_by"), levels=4)))
 
     x, y = (flown[:, CHANNELS.index(name)] for name in ("w_bx", "w_by"))
     assert {(a, b) for a, b in zip(x, y, strict=True)} == {
@@ -60,7 +60,7 @@ def test_a_grid_covers_two_channels_evenly():
 
 
 def test_more_trials_than_points_go_round_with_other_gusts():
-    study = Study(plan=Plan(kind="grid", levels=2), trials=6)
+    study = Study(plan=TrialPlan(kind="grid", levels=2), trials=6)
 
     first, again = study.scenario(1), study.scenario(5)
 
@@ -94,7 +94,7 @@ def test_seeds_of_trials_differ():
 
 def test_a_box_of_the_truth_beside_that_of_the_controller():
     wide = UncertaintySet(mass=0.3)
-    study = Study(uncertainty=wide, plan=Plan(kind="one-at-a-time", channels=("mass",)))
+    study = Study(uncertainty=wide, plan=TrialPlan(kind="one-at-a-time", channels=("mass",)))
 
     assert zetas(study)[:, 0].max() == pytest.approx(0.3)
     assert study.controller.uncertainty.mass == 0.1

@@ -26,7 +26,7 @@ PLAN_KINDS: tuple[PlanKind, ...] = ("random", "vertices", "one-at-a-time", "grid
 """Uniform in the box, its 512 vertices, one channel after the other, two channels together."""
 
 
-class Plan(YamlModel):
+class TrialPlan(YamlModel):
     """Which points of the uncertainty box the trials visit."""
 
     kind: PlanKind = "random"

@@ -22,7 +22,7 @@ from gtmr_model import UncertaintySet, YamlModel
 from gtmr_nmpc import MODES, ControllerConfig, Mode
 from gtmr_sim import GustConfig, Scenario
 from gtmr_sim.scenario import EffectNames, whole_steps
-from gtmr_study.campaign.plans import Plan
+from gtmr_study.campaign.plans import TrialPlan
 from gtmr_study.own_controller import ControllerFingerprint
 
 RANDOM_TRIALS = 500
@@ -53,7 +53,7 @@ class Study(YamlModel):
     """Seed of the campaign; with the number of a trial it gives the trial's own seed."""
     duration_s: float = Field(50.0, ge=0.025, le=86400.0)
     """Length of a flight [s] (Table I)."""
-    plan: Plan = Plan()
+    plan: TrialPlan = TrialPlan()
     """Which true mismatches are flown."""
     gust: GustConfig = GustConfig()
     """The gusts; their bound is that of ``uncertainty``."""
@@ -141,7 +141,7 @@ def trial_seed(seed: int, trial: int) -> int:
 
 
 @lru_cache(maxsize=4)
-def _points(plan: Plan, uncertainty: UncertaintySet, seed: int) -> NDArray[np.float64] | None:
+def _points(plan: TrialPlan, uncertainty: UncertaintySet, seed: int) -> NDArray[np.float64] | None:
     points = plan.points(uncertainty, seed)
     if points is not None:
         # All trials of a process read the same array, perhaps from several threads.
