@@ -262,7 +262,7 @@ class MonitorNode(SuiteNode):
             )
         if begins or ended is not None:
             self.tell_parameters()
-        distance = clearance.encode(stamp_ns, float(tower.clearance(x)), tower.min_clearance_m)
+        distance = clearance.encode(stamp_ns, float(tower.clearance(x)))
         # With the odometry's time in the bag, so that they stay together.
         self._publish(vehicle.clearance, distance, came_ns)
         self._publish(vehicle.residual, clearance.encode_residual(residual_m), came_ns)

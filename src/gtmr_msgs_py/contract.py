@@ -103,7 +103,7 @@ CLEARANCE = TopicName(
     "sensor_msgs/msg/Range",
     ("monitor",),
     (),
-    "`range` is the clearance d_T, `min_range` is d_min [m]",
+    "`range` is the clearance d_T [m], negative inside the tower; never out of range",
 )
 CLEARANCE_RESIDUAL = TopicName(
     "clearance_residual",

@@ -187,7 +187,7 @@ def test_the_recorded_residual_is_that_of_the_recorded_odometry(graph, tmp_path)
     assert [m.range for m in recorded["/clearance"]] == pytest.approx(
         [0.2 - s for s in expected], abs=1e-6
     )
-    assert [m.min_range for m in recorded["/clearance"]] == pytest.approx([0.2] * 80)
+    assert all(m.min_range < m.range < m.max_range for m in recorded["/clearance"])
     stamps = [(m.header.stamp.sec, m.header.stamp.nanosec) for m in recorded["/odom"]]
     assert stamps == [(m.header.stamp.sec, m.header.stamp.nanosec) for m in recorded["/clearance"]]
 

@@ -222,10 +222,15 @@ def test_margins_under_other_labels_are_refused():
         tightening.decode(msg)
 
 
-def test_clearance_tells_d_min_as_its_smallest_range():
-    msg = over_the_wire(clearance.encode(7, 0.35, 0.2))
-    assert msg.range == pytest.approx(0.35, abs=1e-7)
-    assert msg.min_range == pytest.approx(0.2, abs=1e-7)
+@pytest.mark.parametrize("clearance_m", [0.35, 0.15, 0.0, -0.9])
+def test_no_clearance_is_out_of_range_and_all_have_a_width(clearance_m):
+    msg = over_the_wire(clearance.encode(7, clearance_m))
+    assert msg.range == pytest.approx(clearance_m, abs=1e-7)
+    assert msg.min_range < msg.range < msg.max_range
+    assert msg.field_of_view > 0.0
+
+
+def test_a_residual_is_in_metres():
     assert over_the_wire(clearance.encode_residual(-0.15)).data == -0.15
 
 

@@ -18,18 +18,20 @@ from std_msgs.msg import Float64
 from gtmr_msgs_py.contract import BASE_LINK
 from gtmr_msgs_py.wire import stamps
 
+DRAWN_CONE_RAD = 0.1
+"""Angle of the cone by which viewers show the distance, ahead of the vehicle, which faces the
+tower [rad]."""
 
-def encode(stamp_ns: int, clearance_m: float, min_clearance_m: float) -> Range:
-    """Make the range message of a clearance.
+
+def encode(stamp_ns: int, clearance_m: float) -> Range:
+    """Make the range message of a clearance; no value is out of its range, as viewers hide those.
 
     Parameters
     ----------
     stamp_ns : int
         Stamp of the odometry that it was computed from [ns].
     clearance_m : float
-        d_T, distance to the tower's surface [m].
-    min_clearance_m : float
-        d_min [m].
+        d_T, distance to the tower's surface, negative inside [m].
 
     Returns
     -------
@@ -38,7 +40,8 @@ def encode(stamp_ns: int, clearance_m: float, min_clearance_m: float) -> Range:
     """
     msg = Range(
         radiation_type=Range.INFRARED,
-        min_range=float(min_clearance_m),
+        field_of_view=DRAWN_CONE_RAD,
+        min_range=-math.inf,
         max_range=math.inf,
         range=float(clearance_m),
     )
@@ -48,5 +51,5 @@ def encode(stamp_ns: int, clearance_m: float, min_clearance_m: float) -> Range:
 
 
 def encode_residual(residual_m: float) -> Float64:
-    """Make the message of a clearance residual."""
+    """Make the message of a residual s = d_min - d_T [m]."""
     return Float64(data=float(residual_m))
