@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 from typing_extensions import Self
 
-from gtmr_model import UncertaintySet, YamlModel
+from gtmr_model import ConfigError, UncertaintySet, YamlModel
 from gtmr_nmpc import MODES, ControllerConfig, Mode
 from gtmr_sim import GustConfig, Scenario
 from gtmr_sim.scenario import EffectNames, whole_steps
@@ -30,7 +30,13 @@ RANDOM_TRIALS = 500
 
 
 def _by_name(value: Any) -> Any:
-    return ControllerConfig.load("controller", value) if isinstance(value, str) else value
+    if not isinstance(value, str):
+        return value
+    try:
+        return ControllerConfig.load("controller", value)
+    except ConfigError as error:
+        # The study names field and value itself.
+        raise ValueError(str(error).removeprefix(f"controller = {value!r}: ")) from None
 
 
 NamedController = Annotated[ControllerConfig, BeforeValidator(_by_name)]

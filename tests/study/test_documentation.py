@@ -1,0 +1,60 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What README and the documentation name is there, and asking for help costs little."""
+
+import importlib
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+DOTTED = re.compile(r"\bgtmr_[a-z_]+(?:\.[A-Za-z_]+)+")
+PATH = re.compile(r"\bgtmr_[a-z_]+(?:/[A-Za-z_]+)*/[A-Za-z_]+\.(?:py|c|h)\b")
+TOO_LARGE = ("dask", "distributed", "pandas", "plotly", "matplotlib", "optuna")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_modules_that_are_named_are_there(page):
+    text = page.read_text(encoding="utf-8")
+
+    missing = [name for name in PATH.findall(text) if not (ROOT / "src" / name).is_file()]
+    missing += [name for name in DOTTED.findall(text) if not is_there(name)]
+
+    assert missing == []
+
+
+def is_there(dotted):
+    """Tell whether a name is a module, or something in one."""
+    *modules, last = dotted.split(".")
+    place = (ROOT / "src").joinpath(*modules)
+    if (place / last).is_dir() or (place / f"{last}.py").is_file():
+        return True
+    if not place.is_dir() and not place.with_suffix(".py").is_file():
+        return False
+    return hasattr(importlib.import_module(".".join(modules)), last)
+
+
+def test_help_of_the_command_line_loads_nothing_large():
+    code = (
+        "import sys, gtmr_study.cli.app as cli\n"
+        "sys.argv = ['gtmr', '--help']\n"
+        "try: cli.main()\n"
+        f"finally: print([m for m in {TOO_LARGE} if m in sys.modules], file=sys.stderr)"
+    )
+
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    )
+
+    assert "campaign" in run.stdout
+    assert run.stderr.strip() == "[]"
