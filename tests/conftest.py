@@ -22,7 +22,7 @@ os.environ.update(ros_environment())
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 
 
-SHARED = ("flown", "reproduced", "flights")
+SHARED = ("flown", "reproduced", "flights", "one_worker")
 """Fixtures that fly for seconds, once: whoever uses one runs where it was made."""
 
 
