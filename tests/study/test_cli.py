@@ -67,6 +67,7 @@ BAD = {
     "demo of unknown mode": (["demo", "--modes", "nominal,fast"], "--modes = 'fast'"),
     "demo of a mode twice": (["demo", "--modes", "robust,robust"], "--modes"),
     "demo of negative duration": (["demo", "--duration", "-5"], "--duration = -5"),
+    "export to where nothing can be": (["export-c", "/proc/nowhere"], "DIR = /proc/nowhere: "),
     "report of nothing": (["report", "nowhere"], "nowhere"),
 }
 

@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -19,6 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gtmr_nmpc import ControllerConfig
+from gtmr_study.cli.fly import JsonOption
 from gtmr_study.cli.terminal import console
 from gtmr_study.result_files import require_folder_of, write_json
 from gtmr_study.rivals.bench import (
@@ -41,9 +41,7 @@ def bench_command(
         int,
         typer.Option(metavar="N", min=0, help="Steps of general solvers a situation; 0: none."),
     ] = 40,
-    json: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")
-    ] = None,
+    json: JsonOption = None,
 ) -> None:
     """Time a controller step, and what a user would pick instead, on the same states."""
     require_folder_of("--json", json)

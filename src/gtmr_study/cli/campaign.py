@@ -24,6 +24,7 @@ from rich.text import Text
 from gtmr_sim import GUST_KINDS
 from gtmr_study.campaign.plans import PLAN_KINDS
 from gtmr_study.campaign.study import Study
+from gtmr_study.cli.fly import JsonOption
 from gtmr_study.cli.terminal import complain, console, progress
 from gtmr_study.own_controller import OwnController
 from gtmr_study.result_files import InputError, require_folder_of, write_json
@@ -44,9 +45,6 @@ WorkersOption = Annotated[
 SchedulerOption = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="A running Dask scheduler, as tcp://host:8786."),
-]
-JsonOption = Annotated[
-    Path | None, typer.Option("--json", metavar="FILE", help="Write the summary as JSON.")
 ]
 
 

@@ -41,6 +41,8 @@ def export_c_command(
         written = export_c(config, "robust", folder)
     except CompileError as error:
         raise InputError(str(error)) from None
+    except OSError as error:
+        raise InputError(f"DIR = {folder}: cannot be written: {error.strerror}") from None
     console.print(
         f"{len(written)} files in {folder}; the interface is gtmr.h. Build and check with\n"
         f"  cmake -S {folder} -B {folder}/build && cmake --build {folder}/build && "
