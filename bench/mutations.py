@@ -1,0 +1,163 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Break the code in one place at a time, and see that the test named for it fails.
+
+Run with ``python bench/mutations.py`` (a few minutes), or with words to pick the mutations whose
+file or test has them. Works on a copy; the table in docs/testing.md is this list:
+``python bench/mutations.py --table`` prints it.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+C = "src/gtmr_nmpc/compiled/c"
+COMPILED = "tests/nmpc/test_compiled.py::test_"
+CONTROLLER = "tests/nmpc/test_controller.py::test_"
+SENSITIVITY = "tests/nmpc/test_sensitivity.py::test_"
+MUTATIONS = [
+    # File, text, what it becomes, test that fails.
+    (
+        f"{C}/controller.c",
+        "if (breaks_rotor_limits(c))",
+        "if (0)",
+        COMPILED + "a_plan_that_is_called_solved_keeps_the_rotor_limits_from_anywhere",
+    ),
+    (
+        f"{C}/active_set.c",
+        "REFINEMENTS = 2",
+        "REFINEMENTS = 0",
+        COMPILED + "digits_that_the_gram_matrix_loses_come_back",
+    ),
+    (
+        f"{C}/active_set.c",
+        "? gtmr_compliance(c, a)",
+        "? 2.0 * gtmr_compliance(c, a)",
+        COMPILED + "random_problems",
+    ),
+    (
+        f"{C}/margins.c",
+        "> ZERO_MARGIN",
+        "> 0.0",
+        COMPILED + "rounding_decides_no_plan_where_a_margin_is_zero_by_symmetry",
+    ),
+    (
+        f"{C}/margins.c",
+        "gust_m * i * i",
+        "gust_m * i",
+        COMPILED + "other_vehicles",
+    ),
+    (
+        f"{C}/riccati.c",
+        "g[N_X + j] = 2.0 *",
+        "g[N_X + j] = 1.0 *",
+        COMPILED + "other_vehicles",
+    ),
+    (
+        "src/gtmr_codegen/c_source.py",
+        'ca.OP_TWICE: "{0} + {0}"',
+        'ca.OP_TWICE: "{0} * {0}"',
+        COMPILED + "other_vehicles",
+    ),
+    (
+        "src/gtmr_nmpc/reference/qp.py",
+        "<= self.slack_l1",
+        "<= 10.0 * self.slack_l1",
+        COMPILED + "a_clearance_row_gives_way_once_its_multiplier_would_exceed_the_linear_penalty",
+    ),
+    (
+        "src/gtmr_nmpc/margins/paper.py",
+        "0.5 * uncertainty.gust_n",
+        "uncertainty.gust_n",
+        SENSITIVITY + "alpha_g_is_double_integration_of_the_bound",
+    ),
+    (
+        "src/gtmr_nmpc/margins/paper.py",
+        "return np.abs(pi_y) *",
+        "return pi_y *",
+        SENSITIVITY + "alpha_p_is_the_worst_vertex",
+    ),
+    (
+        "src/gtmr_nmpc/controller.py",
+        "> tower.radius_m + tower.min_clearance_m",
+        "> 10.0 * (tower.radius_m + tower.min_clearance_m)",
+        CONTROLLER + "after_an_unfit_plan_the_next_step_starts_from_the_measured_state",
+    ),
+    (
+        "src/gtmr_nmpc/controller.py",
+        ".max() < math.pi / 2",
+        ".max() < math.inf",
+        CONTROLLER + "a_plan_that_turns_over_does_not_turn_the_next_command_around",
+    ),
+    (
+        "src/gtmr_nmpc/performance.py",
+        "solution.timing.total_s > self._deadline_s",
+        "solution.timing.feedback_s > self._deadline_s",
+        "tests/nmpc/test_performance.py::test_both_phases_together_must_keep_the_deadline",
+    ),
+]
+
+
+def passes(root: Path, *tests: str) -> bool:
+    """Whether tests pass in a copy of the project."""
+    environment = os.environ | {"PYTHONPATH": str(root / "src"), "XDG_CACHE_HOME": str(root)}
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
+    run = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True)
+    if run.returncode not in (0, 1):
+        raise SystemExit(f"{tests} do not run:\n{run.stdout[-2000:]}{run.stderr[-2000:]}")
+    return run.returncode == 0
+
+
+def is_caught(root: Path, mutation: tuple[str, str, str, str]) -> bool:
+    """Whether the test fails once the text is replaced."""
+    name, text, other, test = mutation
+    path = root / name
+    before = path.read_text(encoding="utf-8")
+    if before.count(text) != 1:
+        raise SystemExit(f"{name}: {text!r} stands there {before.count(text)} times, not once")
+    path.write_text(before.replace(text, other), encoding="utf-8")
+    passed = passes(root, test)
+    path.write_text(before, encoding="utf-8")
+    return not passed
+
+
+def main(words: list[str]) -> int:
+    """Print the table, or try the mutations that were asked for; 1 if one is not caught."""
+    if words == ["--table"]:
+        print("| file | text | becomes | caught by |\n|---|---|---|---|")
+        for name, text, other, test in MUTATIONS:
+            print(f"| `{name}` | `{text}` | `{other}` | `{test.partition('::')[2]}` |")
+        return 0
+    escaped = 0
+    with tempfile.TemporaryDirectory() as folder:
+        root, here = Path(folder), Path(__file__).resolve().parent.parent
+        for part in ("src", "tests", "config", "pyproject.toml"):
+            copy = shutil.copytree if (here / part).is_dir() else shutil.copy
+            copy(here / part, root / part)
+        chosen = [
+            mutation
+            for mutation in MUTATIONS
+            if not words or any(word in mutation[0] + mutation[3] for word in words)
+        ]
+        if not passes(root, *sorted({test for *_, test in chosen})):
+            raise SystemExit("the tests fail without a mutation")
+        for mutation in chosen:
+            caught = is_caught(root, mutation)
+            escaped += not caught
+            print("caught" if caught else "ESCAPED", *mutation[:3], sep=" | ", flush=True)
+    return min(escaped, 1)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
