@@ -18,13 +18,13 @@ from gtmr_model import CHANNELS, UncertaintySet
 from gtmr_nmpc import Controller, ControllerConfig, Solution
 
 ORBIT_SAMPLES = 24
-"""How many plans, evenly spread over one turn round the tower, a budget averages."""
+"""How many plans, evenly spread over one turn around the tower, a budget averages."""
 HELIX_SPEEDS_M_S = (0.2, 0.5, 1.0, 1.5, 2.0)
 """Speeds of the helix at which the tightening is looked at [m/s]."""
 
 
 def margin_budget(config: ControllerConfig) -> dict[str, float]:
-    """Parts of the tightening at the last stage, averaged over a turn round the tower.
+    """Parts of the tightening at the last stage, averaged over a turn around the tower.
 
     Returns
     -------
@@ -44,7 +44,7 @@ def alpha_by_helix_speed(config: ControllerConfig) -> list[dict[str, float]]:
     Returns
     -------
     list of dict
-        ``speed_m_s`` and ``alpha_n_m``, the mean over a turn round the tower.
+        ``speed_m_s`` and ``alpha_n_m``, the mean over a turn around the tower.
     """
     rows = []
     for speed_m_s in HELIX_SPEEDS_M_S:
@@ -60,8 +60,8 @@ def hoelder_ratio(config: ControllerConfig) -> float:
     Returns
     -------
     float
-        ||Pi_y||_inf ||w||_1 over sum_j |Pi_y,j| w_j at the last stage, the least over a turn round
-        the tower [-].
+        ||Pi_y||_inf ||w||_1 over sum_j |Pi_y,j| w_j at the last stage, the least over a turn
+        around the tower [-].
     """
     half_widths = config.uncertainty.half_widths
     parts = np.array([plan.alpha_p_by_channel[-1] for plan in _plans_of_a_turn(config)])

@@ -142,7 +142,7 @@ def _sections(results: dict[str, Any]) -> list[tuple[str, str, Table]]:
             ),
             (
                 "Size of the tightening",
-                "Parts of the margin at the last stage [mm], averaged over a turn round the "
+                "Parts of the margin at the last stage [mm], averaged over a turn around the "
                 "tower, and the clearance of robust flights with it. The paper's robust row asks "
                 f"for a least clearance of {PAPER['robust'].min_clearance_m:g} m and a median of "
                 "0.39 m.",
@@ -153,7 +153,7 @@ def _sections(results: dict[str, Any]) -> list[tuple[str, str, Table]]:
         *found,
         (
             "Tightening and speed of the helix",
-            "Margin at the last stage, averaged over a turn round the tower.",
+            "Margin at the last stage, averaged over a turn around the tower.",
             alpha_by_speed(results),
         ),
     ]

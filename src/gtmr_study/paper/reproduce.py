@@ -59,7 +59,7 @@ class Effort:
     variant_trials: int
     """Trials a mode with one thing changed, for each change; 0 leaves these out."""
     variant_duration_s: float = 20.0
-    """Length of these flights: more than a turn round the tower [s]."""
+    """Length of these flights: more than a turn around the tower [s]."""
 
 
 FULL = Effort(trials=TRIALS, duration_s=50.0, quality_duration_s=5.0, variant_trials=24)
