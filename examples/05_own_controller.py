@@ -51,7 +51,7 @@ class Lqr:
         error[:3] = to_heading @ (x[:3] - reference.position[0])
         error[5] = (x[5] - yaw + np.pi) % (2.0 * np.pi) - np.pi
         error[6:9] = to_heading @ (x[6:9] - reference.velocity[0])
-        error[11] -= reference.yaw_rate
+        error[11] -= reference.yaw_rate[0]
         return -self.gain @ error
 
 
