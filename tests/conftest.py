@@ -26,6 +26,7 @@ SHARED = ("flown", "reproduced", "flights", "one_worker")
 """Fixtures that fly for seconds, once: whoever uses one runs where it was made."""
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
     """Say which tests stay together on one of several workers."""
     for item in items:
