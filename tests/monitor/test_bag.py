@@ -288,7 +288,8 @@ bag.close()
 
 def test_on_a_full_disk_it_keeps_what_it_has(tmp_path):
     done = subprocess.run(
-        [sys.executable, "-c", WRITE_UNTIL_FULL, tmp_path, WRITTEN[0][1].hex()],
+        # -B: a compiled module that is cut off would break every later start of Python.
+        [sys.executable, "-B", "-c", WRITE_UNTIL_FULL, tmp_path, WRITTEN[0][1].hex()],
         capture_output=True,
         text=True,
         timeout=30,

@@ -187,9 +187,12 @@ def test_a_full_disk_is_said_and_finished_trials_are_kept(flown, tmp_path):
     def small_files():
         resource.setrlimit(resource.RLIMIT_FSIZE, (len(kept) + 100, len(kept) + 100))
 
+    # A compiled module that is cut off would break every later start of Python.
+    environment = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}
     run = gtmr_process(
-        "campaign", *ARGUMENTS, "--workers", 1, "--out", folder, preexec_fn=small_files
-    )
+        "campaign", *ARGUMENTS, "--workers", 1, "--out", folder,
+        preexec_fn=small_files, env=environment,
+    )  # fmt: skip
 
     assert run.returncode == 1
     assert "cannot be written" in run.stderr
