@@ -14,7 +14,7 @@ from gtmr_model.reference import Reference, ReferencePath
 from gtmr_model.tower import Tower
 from gtmr_model.uncertainty import CHANNELS, N_ZETA, UncertaintySet
 from gtmr_model.vehicle import NamedVehicle, Rotor, Vehicle
-from gtmr_model.yaml_model import ConfigError, YamlModel
+from gtmr_model.yaml_model import ConfigError, OneOfKinds, YamlModel
 
 __all__ = [
     "CHANNELS",
@@ -22,6 +22,7 @@ __all__ = [
     "ConfigError",
     "Helix",
     "NamedVehicle",
+    "OneOfKinds",
     "Reference",
     "ReferencePath",
     "Rotor",

@@ -10,13 +10,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    model_validator,
+)
 from typing_extensions import Self
 
 
@@ -169,3 +176,64 @@ class YamlModel(BaseModel):
         if name_or_path.endswith((".yaml", ".yml")):
             return cls.from_yaml(name_or_path)
         return cls.preset(kind, name_or_path)
+
+
+class OneOfKinds(YamlModel):
+    """The base of a family of models that are told apart by their name, in the field ``kind``.
+
+    A model that inherits from this is a family, with the name of its default; one that inherits
+    from a family is a member, known from then on by the default of its ``kind``.
+    """
+
+    kind: str
+    """Which of the family."""
+
+    _members: ClassVar[dict[str, type[OneOfKinds]]]
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+        """Make a family, or a member of one."""
+        if OneOfKinds in cls.__bases__:
+            cls._members = {}
+        else:
+            cls._members[cls.model_fields["kind"].default] = cls
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _choose(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        own_kind = cls.model_fields["kind"].default
+        if OneOfKinds not in cls.__bases__:
+            made = handler(data)
+            if made.kind != own_kind:
+                raise ValueError(f"{cls.__name__} is of kind {own_kind!r}")
+            return made
+        if isinstance(data, str):
+            data = {"kind": data}
+        if not isinstance(data, Mapping):
+            return handler(data)
+        kind = data.get("kind", own_kind)
+        if kind not in cls._members:
+            raise ValueError(f"kind = {kind!r}: there is {', '.join(sorted(cls._members))}")
+        member: Any = cls._members[kind]
+        chosen: Self = member.model_validate(data)
+        return chosen
+
+    @classmethod
+    def load(cls, kind: str, name_or_path: str) -> Self:
+        """Make a member by its name, all else at its defaults, or read it from a YAML file.
+
+        Parameters
+        ----------
+        kind : str
+            What to call it in an error, for example ``margin``.
+        name_or_path : str
+            A member's name, or a path that ends in ``.yaml`` or ``.yml``.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such member or file, or its content is wrong.
+        """
+        if name_or_path.endswith((".yaml", ".yml")):
+            return cls.from_yaml(name_or_path)
+        return cls.parse(name_or_path, kind)

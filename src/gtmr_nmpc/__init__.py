@@ -10,6 +10,18 @@
 
 from gtmr_nmpc.config import MODES, ControllerConfig, Mode, Weights
 from gtmr_nmpc.controller import Controller
+from gtmr_nmpc.margins import Iterate, Margin, Tightening
 from gtmr_nmpc.solution import Solution, Timing
 
-__all__ = ["MODES", "Controller", "ControllerConfig", "Mode", "Solution", "Timing", "Weights"]
+__all__ = [
+    "MODES",
+    "Controller",
+    "ControllerConfig",
+    "Iterate",
+    "Margin",
+    "Mode",
+    "Solution",
+    "Tightening",
+    "Timing",
+    "Weights",
+]

@@ -12,14 +12,16 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, SerializeAsAny, model_validator
+from typing_extensions import Self
 
 from gtmr_model import Helix, NamedVehicle, Tower, UncertaintySet, Vehicle, YamlModel
+from gtmr_nmpc.margins import Margin, PaperMargin
 
 Mode = Literal["nominal", "robust"]
 MODES: tuple[Mode, ...] = ("nominal", "robust")
 """What the mode can be: the clearance constraint as in eq. (5), or tightened as in eq. (15)."""
-Tightening = Literal["frozen", "gradient"]
+TighteningOrder = Literal["frozen", "gradient"]
 
 Weight = Annotated[float, Field(ge=0.0)]
 Weight3 = tuple[Weight, Weight, Weight]
@@ -65,7 +67,9 @@ class ControllerConfig(YamlModel):
     """T_s [s] (Table I)."""
     eps_s_m: float = Field(1e-3, ge=0.0)
     """eps_s, the small slack term in alpha_p, eq. (12) [m]; the paper does not report it."""
-    tightening: Tightening = "frozen"
+    margin: SerializeAsAny[Margin] = PaperMargin()
+    """What the robust mode keeps away by: the paper's, or another by its name and numbers."""
+    tightening: TighteningOrder = "frozen"
     """How alpha_p enters the QP: held at the current iterate, or with its gradient (eq. 15)."""
     slack_l1: float = Field(1e4, gt=0.0)
     """Linear penalty on violating the tightened clearance at a stage [1/m]; exact while it
@@ -76,3 +80,12 @@ class ControllerConfig(YamlModel):
     """How long the margins take to come in, or to go, after the mode was switched in flight [s];
     0 is at once, which jerks a vehicle that is inside the tightened shell. Chosen by measurement;
     the paper does not switch."""
+
+    @model_validator(mode="after")
+    def _has_a_gradient(self) -> Self:
+        if self.tightening == "gradient" and not isinstance(self.margin, PaperMargin):
+            raise ValueError(
+                f"tightening = 'gradient': margin = {self.margin.kind!r} has none, allowed is "
+                "'frozen'"
+            )
+        return self

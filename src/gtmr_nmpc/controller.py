@@ -21,6 +21,8 @@ from gtmr_model.dynamics import PITCH, YAW
 from gtmr_nmpc.compiled.iteration import CompiledIteration
 from gtmr_nmpc.config import MODES, ControllerConfig, Mode
 from gtmr_nmpc.iteration import Iteration, IterationResult
+from gtmr_nmpc.margins import Margin, PaperMargin
+from gtmr_nmpc.margins.margin import tightening_of
 from gtmr_nmpc.reference.interpreted import InterpretedIteration
 from gtmr_nmpc.solution import Solution, Timing
 
@@ -42,10 +44,16 @@ class Controller:
         switch in flight the margins come in or go over ``switch_time_s``, so that it makes no
         bump.
 
+    iteration : Iteration, optional
+        What solves the problem, made for ``config`` and used by this controller alone; compiled
+        if left out, interpreted where there is no compiler.
+    margin : Margin, optional
+        A margin of one's own, instead of ``config.margin``: anything with its ``tightening``.
+
     Raises
     ------
     ValueError
-        If the mode is unknown.
+        If the mode is unknown, or a margin of one's own is to enter with its gradient.
     """
 
     def __init__(
@@ -53,8 +61,11 @@ class Controller:
         config: ControllerConfig | None = None,
         mode: Mode = "robust",
         iteration: Iteration | None = None,
+        margin: Margin | None = None,
     ) -> None:
         self.config = config if config is not None else ControllerConfig()
+        self._own_margin = margin
+        self._margin = self._chosen_margin(self.config)
         self._iteration = iteration if iteration is not None else fastest_iteration(self.config)
         self.mode = mode
         self.reset()
@@ -87,6 +98,7 @@ class Controller:
         for fixed in FIXED:
             if getattr(config, fixed) != getattr(self.config, fixed):
                 raise ValueError(f"{fixed} cannot change in flight: make a new controller")
+        self._margin = self._chosen_margin(config)
         self.config = config
         self._iteration.reconfigure(config)
         self._prepared = None
@@ -176,8 +188,20 @@ class Controller:
     def _prepare(self, t: float) -> None:
         start = time.perf_counter()
         progress = self._margin_progress(t)
-        self._iteration.prepare(t, _margin_scale(progress))
+        scale = _margin_scale(progress)
+        self._iteration.prepare(t, scale)
+        if self._margin is not None and scale > 0.0:
+            own = tightening_of(self._margin, self._iteration.linearised())
+            self._iteration.tighten(own.scaled(scale))
         self._prepared = (t, time.perf_counter() - start, progress)
+
+    def _chosen_margin(self, config: ControllerConfig) -> Margin | None:
+        """Choose the margin to ask; none is the paper's, which the iterations have themselves."""
+        if self._own_margin is None:
+            return None if isinstance(config.margin, PaperMargin) else config.margin
+        if config.tightening == "gradient":
+            raise ValueError("tightening = 'gradient': a margin of one's own enters 'frozen'")
+        return self._own_margin
 
     def _margin_progress(self, t: float) -> float:
         """How far the margins have come in at time t: they come and go over the switch time."""

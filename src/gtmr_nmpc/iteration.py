@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gtmr_nmpc.config import ControllerConfig
+from gtmr_nmpc.margins import Iterate, Tightening
 
 Array = NDArray[np.float64]
 
@@ -30,16 +31,10 @@ class IterationResult(NamedTuple):
     """Predicted states, shape (N + 1, 12 + N_p)."""
     u_plan: Array
     """Planned rotor accelerations [Hz/s], shape (N, N_p)."""
-    alpha_p_by_channel: Array
-    """Terms of alpha_p without eps_s [m], shape (N + 1, 9)."""
-    alpha_p: Array
-    """Parametric margin per stage [m], shape (N + 1,)."""
-    alpha_g: Array
-    """Gust margin per stage [m], shape (N + 1,)."""
+    tightening: Tightening
+    """The margins it was made with."""
     slack: Array
     """Violation of the tightened clearance per stage [m], shape (N + 1,)."""
-    eps_s: float
-    """The constant term of alpha_p [m]."""
     status: str
     """``solved``, ``softened`` or ``failed``."""
 
@@ -87,6 +82,14 @@ class Iteration(Protocol):
         margin_scale : float
             Of the margins: 1 in robust mode, 0 in nominal mode, in between after a switch.
         """
+        ...
+
+    def linearised(self) -> Iterate:
+        """Tell what a margin may depend on, in robust mode and after ``prepare``."""
+        ...
+
+    def tighten(self, tightening: Tightening) -> None:
+        """Let other margins than the paper's hold in the step that was prepared."""
         ...
 
     def feedback(self, x: Array) -> IterationResult:

@@ -91,7 +91,7 @@ class NmpcNode(SuiteNode):
         If a parameter cannot be used.
     """
 
-    PRESETS: ClassVar = {"vehicle": "paper"}
+    PRESETS: ClassVar = {"margin": "paper", "vehicle": "paper"}
     """Parameters that name a preset or a file, with their defaults."""
     DYNAMIC: ClassVar = {
         "eps_s_m",

@@ -11,7 +11,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -26,7 +25,6 @@ from gtmr_model.dynamics import (
     state_derivative,
     symbols,
 )
-from gtmr_model.tower import Tower
 from gtmr_model.uncertainty import N_ZETA
 from gtmr_nmpc.config import ControllerConfig
 
@@ -71,36 +69,6 @@ def output_map(config: ControllerConfig) -> ca.Function:
     acceleration = state_derivative(x, u, nominal, ca.DM.zeros(3), config.vehicle)[VELOCITY]
     h = ca.vertcat(x[POSITION], x[VELOCITY], acceleration, x[ATTITUDE], x[RATE])
     return ca.Function("h", [x], [h], ["x"], ["h"])
-
-
-@cache
-def clearance_constraint() -> ca.Function:
-    """Clearance constraint of eq. (1) with its derivatives, in standard form y <= 0.
-
-    Returns
-    -------
-    casadi.Function
-        (p, [R, d_min], direction) -> y [m], J_yx, shape (1, 3), which is the position part of
-        eq. (9) and the rest of which is zero, and d(J_yx direction)/dp, shape (1, 3).
-    """
-    tower, sizes = Tower.symbolic()
-    p, direction = ca.SX.sym("p", 3), ca.SX.sym("direction", 3)
-    y = tower.residual(p)
-    gradient = ca.jacobian(y, p)
-    curvature = ca.jacobian(gradient @ direction, p)
-    return ca.Function("clearance", [p, sizes, direction], [y, gradient, curvature])
-
-
-def clearance_gradient(positions: Array) -> Array:
-    """J_yx at positions [m], shape (n, 3): unit vectors towards the tower [-], shape (n, 3)."""
-    _, gradient, _ = clearance_constraint()(positions.T, [0.0, 0.0], [0.0, 0.0, 0.0])
-    return np.asarray(gradient).reshape(-1, 3)
-
-
-def clearance_curvature(positions: Array, direction: Array) -> Array:
-    """d(J_yx direction)/dp [1/m] times the unit of the direction; all of shape (n, 3)."""
-    _, _, curvature = clearance_constraint()(positions.T, [0.0, 0.0], direction.T)
-    return np.asarray(curvature).reshape(-1, 3)
 
 
 def stage_weights(config: ControllerConfig) -> Array:

@@ -15,9 +15,7 @@ from collections import Counter, deque
 import numpy as np
 
 from gtmr_model import Tower, Vehicle
-from gtmr_model.dynamics import POSITION
 from gtmr_model.uncertainty import CHANNELS
-from gtmr_nmpc.margins.paper import tightened_residual
 from gtmr_nmpc.solution import Solution
 
 ACTIVE_M = 1e-3
@@ -37,7 +35,7 @@ def standing(solution: Solution, tower: Tower, vehicle: Vehicle) -> dict[str, fl
         the margins by channel [m].
     """
     alpha = solution.alpha_p + solution.alpha_g
-    tightened = tightened_residual(tower, solution.x_plan[:, POSITION], alpha)
+    tightened = tower.residual(solution.x_plan) + alpha
     tightest = int(tightened.argmax())
     inputs = np.abs(solution.u_plan) / vehicle.max_rotor_acceleration_hz_s
     terms = zip(CHANNELS, solution.alpha_p_by_channel[tightest], strict=True)

@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from gtmr_model.tower import clearance_gradient
 from gtmr_model.uncertainty import N_ZETA
 
 Array = NDArray[np.float64]
@@ -41,6 +42,25 @@ def propagate(dF_dx: Array, dF_dzeta: Array) -> Array:
     for i in range(n):
         pi[i + 1] = dF_dx[i] @ pi[i] + dF_dzeta[i]
     return pi
+
+
+def clearance_sensitivity(positions: Array, pi: Array) -> Array:
+    """Sensitivity of the clearance constraint, Pi_y = J_yx Pi.
+
+    Parameters
+    ----------
+    positions : NDArray, shape (N + 1, 3)
+        Planned positions, world frame [m].
+    pi : NDArray, shape (N + 1, n_x, 9)
+        State sensitivities.
+
+    Returns
+    -------
+    NDArray, shape (N + 1, 9)
+        [m] per unit of zeta.
+    """
+    sensitivity: Array = np.einsum("ij,ijk->ik", clearance_gradient(positions), pi[:, :3, :])
+    return sensitivity
 
 
 def second_order_adjoint(dynamics: ca.Function) -> ca.Function:

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gtmr_nmpc.margins import Tightening
+
 
 @dataclass(frozen=True)
 class Timing:
@@ -41,22 +43,35 @@ class Solution:
     """Predicted states, shape (N + 1, 12 + N_p)."""
     u_plan: NDArray[np.float64]
     """Planned rotor accelerations [Hz/s], shape (N, N_p)."""
-    alpha_p: NDArray[np.float64]
-    """Parametric margin per stage, eq. (12), eps_s included [m], shape (N + 1,); zero in nominal
-    mode."""
-    alpha_p_by_channel: NDArray[np.float64]
-    """The terms |Pi_y,i,j| w_bar_j of eq. (12) [m], shape (N + 1, 9)."""
-    eps_s: float
-    """The constant term of eq. (12) [m]; zero in nominal mode."""
-    alpha_g: NDArray[np.float64]
-    """Gust margin per stage, eq. (13) [m], shape (N + 1,); zero in nominal mode."""
+    tightening: Tightening
+    """The margins of every stage by their parts, as applied; zero in nominal mode."""
     slack: NDArray[np.float64]
     """By how much the plan violates the tightened clearance at each stage [m], shape (N + 1,)."""
     margin_scale: float
-    """How much of the margins was applied, and is in ``alpha_p`` and ``alpha_g``: 0 in nominal
+    """How much of the margins was applied, and is in ``tightening``: 0 in nominal
     mode, 1 in robust mode, in between for a while after a switch."""
     status: str
     """``solved``; ``softened`` if a slack was used; ``failed`` if the QP solver gave up and the
     rest of the last plan is returned."""
     timing: Timing
     """How long the step took."""
+
+    @property
+    def alpha_p(self) -> NDArray[np.float64]:
+        """Parametric margin per stage, eq. (12), eps_s included [m], shape (N + 1,)."""
+        return self.tightening.parametric
+
+    @property
+    def alpha_p_by_channel(self) -> NDArray[np.float64]:
+        """The terms |Pi_y,i,j| w_bar_j of eq. (12) [m], shape (N + 1, 9)."""
+        return self.tightening.by_channel
+
+    @property
+    def eps_s(self) -> NDArray[np.float64]:
+        """What of alpha_p belongs to no channel [m], shape (N + 1,)."""
+        return self.tightening.eps_s
+
+    @property
+    def alpha_g(self) -> NDArray[np.float64]:
+        """Gust margin per stage, eq. (13) [m], shape (N + 1,)."""
+        return self.tightening.gust

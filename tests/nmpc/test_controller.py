@@ -172,7 +172,7 @@ def test_start_inside_the_forbidden_zone_reports_its_slack_and_leaves_the_zone()
     controller = Controller(mode="robust")
     first = controller.step(0.0, x)
     assert first.status == "softened"
-    assert first.slack[0] == pytest.approx(0.1 + first.eps_s)
+    assert first.slack[0] == pytest.approx(0.1 + first.eps_s[0])
     simulation = Simulation(Scenario(), 0.025)
     simulation.plant.x = x
     for k in range(80):

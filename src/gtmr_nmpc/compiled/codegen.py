@@ -18,6 +18,7 @@ from gtmr_codegen.c_source import c_function
 from gtmr_model import N_ZETA
 from gtmr_model.dynamics import ROTORS
 from gtmr_model.reference import reference_function
+from gtmr_model.tower import clearance_constraint
 from gtmr_nmpc import ocp, sensitivity
 from gtmr_nmpc.config import ControllerConfig
 
@@ -157,7 +158,7 @@ def _reference(config: ControllerConfig) -> ca.Function:
 def _clearance() -> list[ca.Function]:
     """Write y with J_yx, and the curvature, as functions of their own; nonzeros only."""
     p, sizes, direction = (ca.SX.sym(n, k) for n, k in (("p", 3), ("sizes", 2), ("d", 3)))
-    y, gradient, curvature = ocp.clearance_constraint()(p, sizes, direction)
+    y, gradient, curvature = clearance_constraint()(p, sizes, direction)
     return [
         ca.Function("gtmr_model_clearance", [p, sizes], ca.cse([y, gradient])),
         ca.Function("gtmr_model_curvature", [p, direction], ca.cse([curvature])),

@@ -21,9 +21,11 @@ from gtmr_codegen.library import load_library
 from gtmr_model import N_ZETA
 from gtmr_nmpc import ocp
 from gtmr_nmpc.compiled import codegen
+from gtmr_nmpc.compiled.codegen import BODY
 from gtmr_nmpc.config import ControllerConfig
 from gtmr_nmpc.iteration import IterationResult
-from gtmr_nmpc.margins import paper as margins
+from gtmr_nmpc.margins import Iterate, Tightening
+from gtmr_nmpc.margins.paper import gust_margin
 
 Array = NDArray[np.float64]
 
@@ -58,7 +60,7 @@ class CParameters(ctypes.Structure):
 def parameters(config: ControllerConfig) -> CParameters:
     """All that the compiled controller takes from a problem at run time."""
     tower, vehicle, weights = config.tower, config.vehicle, config.weights
-    first_gust_m = margins.gust_margin(config.uncertainty, vehicle, 1, config.sampling_time_s)[1]
+    first_gust_m = gust_margin(config.uncertainty, vehicle, 1, config.sampling_time_s)[1]
     return CParameters(
         tower_radius_m=tower.radius_m,
         min_clearance_m=tower.min_clearance_m,
@@ -111,7 +113,6 @@ class CompiledIteration:
         ends = np.cumsum([math.prod(shape) for shape in shapes]).tolist()
         starts = [0, *ends[:-1]]
         self._parts = [(shape, 8 * start) for shape, start in zip(shapes, starts, strict=True)]
-        self._eps_s = 0.0
 
     @property
     def sizes(self) -> tuple[int, int]:
@@ -134,22 +135,39 @@ class CompiledIteration:
 
     def prepare(self, t: float, margin_scale: float) -> None:
         """See `Iteration.prepare`."""
-        self._eps_s = margin_scale * self._config.eps_s_m
+        self._eps_s = np.full(self._config.horizon + 1, margin_scale * self._config.eps_s_m)
+        self._given: Tightening | None = None
         self._library.gtmr_prepare(
             self._controller, ctypes.c_double(t), ctypes.c_double(margin_scale)
         )
+
+    def linearised(self) -> Iterate:
+        """See `Iteration.linearised`."""
+        n, vehicle = self._config.horizon, self._config.vehicle
+        x, u = np.empty((n + 1, vehicle.n_x)), np.empty((n, vehicle.n_rotors))
+        body = np.empty((n + 1, BODY.stop, N_ZETA))
+        addresses = (ctypes.c_void_p(array.ctypes.data) for array in (x, u, body))
+        self._library.gtmr_iterate(self._controller, *addresses)
+        # Rotor speeds do not depend on zeta.
+        rotors = ((0, 0), (0, vehicle.n_rotors), (0, 0))
+        return Iterate(self._config, x, u, lambda: np.pad(body, rotors))
+
+    def tighten(self, tightening: Tightening) -> None:
+        """See `Iteration.tighten`."""
+        self._given = tightening
+        alpha = np.ascontiguousarray(tightening.total)
+        self._library.gtmr_tighten(self._controller, ctypes.c_void_p(alpha.ctypes.data))
 
     def feedback(self, x: Array) -> IterationResult:
         """See `Iteration.feedback`."""
         self._x[:] = x
         status = self._library.gtmr_feedback(self._controller, self._x_address, self._plan_address)
         plan = self._plan.copy()
-        x, u, by_channel, alpha_p, alpha_g, slack = (
+        x, u, by_channel, _, alpha_g, slack = (
             np.ndarray(shape, float, plan, offset) for shape, offset in self._parts
         )
-        return IterationResult(
-            x, u, by_channel, alpha_p, alpha_g, slack, self._eps_s, STATUSES[status]
-        )
+        tightening = self._given or Tightening(by_channel, self._eps_s, alpha_g)
+        return IterationResult(x, u, tightening, slack, STATUSES[status])
 
 
 def _compiled_part(config: ControllerConfig) -> ControllerConfig:
@@ -168,6 +186,6 @@ def _library(config: ControllerConfig) -> ctypes.CDLL:
     library = load_library("the controller", sources, codegen.flags(sources))
     library.gtmr_size.restype = library.gtmr_plan_length.restype = ctypes.c_size_t
     library.gtmr_create.restype = ctypes.c_void_p
-    for name in ("reconfigure", "cold", "warm", "prepare"):
+    for name in ("reconfigure", "cold", "warm", "prepare", "iterate", "tighten"):
         getattr(library, f"gtmr_{name}").restype = None
     return library

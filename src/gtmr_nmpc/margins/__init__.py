@@ -6,4 +6,10 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What the clearance constraint is tightened by."""
+"""What the clearance constraint is tightened by: one margin a file, chosen by its name."""
+
+from gtmr_nmpc.margins.fixed import FixedMargin
+from gtmr_nmpc.margins.margin import Iterate, Margin, Tightening
+from gtmr_nmpc.margins.paper import PaperMargin
+
+__all__ = ["FixedMargin", "Iterate", "Margin", "PaperMargin", "Tightening"]

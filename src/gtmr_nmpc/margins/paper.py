@@ -6,15 +6,16 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The clearance constraint and its tightening: eq. (9), (12), (13)."""
+"""The paper's margin: eq. (12) and (13). The compiled controller has it in C as well."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gtmr_model import Tower, UncertaintySet, Vehicle
-from gtmr_nmpc import ocp
+from gtmr_model import UncertaintySet, Vehicle
+from gtmr_nmpc.margins.margin import Iterate, Margin, Tightening
+from gtmr_nmpc.sensitivity import clearance_sensitivity
 
 Array = NDArray[np.float64]
 
@@ -22,40 +23,22 @@ ZERO_MARGIN_M = 1e-12
 """Terms of alpha_p below this are zero by symmetry, as in hover, and their sign is rounding's."""
 
 
-def clearance_sensitivity(positions: Array, pi: Array) -> Array:
-    """Sensitivity of the clearance constraint, Pi_y = J_yx Pi.
+class PaperMargin(Margin):
+    """First-order worst case over the box of zeta, and double integration of the gust's bound."""
 
-    Parameters
-    ----------
-    positions : NDArray, shape (N + 1, 3)
-        Planned positions, world frame [m].
-    pi : NDArray, shape (N + 1, n_x, 9)
-        State sensitivities.
-
-    Returns
-    -------
-    NDArray, shape (N + 1, 9)
-        [m] per unit of zeta.
-    """
-    sensitivity: Array = np.einsum("ij,ijk->ik", ocp.clearance_gradient(positions), pi[:, :3, :])
-    return sensitivity
+    def tightening(self, iterate: Iterate) -> Tightening:
+        """alpha_p of eq. (12) and alpha_g of eq. (13)."""
+        config, stages = iterate.config, len(iterate.x)
+        pi_y = clearance_sensitivity(iterate.x[:, :3], iterate.Pi)
+        return Tightening(
+            parametric_margin(pi_y, config.uncertainty),
+            np.full(stages, config.eps_s_m),
+            gust_margin(config.uncertainty, config.vehicle, stages - 1, config.sampling_time_s),
+        )
 
 
 def parametric_margin(pi_y: Array, uncertainty: UncertaintySet) -> Array:
-    """Terms of the parametric margin by channel, |Pi_y,i,j| w_bar_j of eq. (12), without eps_s.
-
-    Parameters
-    ----------
-    pi_y : NDArray, shape (N + 1, 9)
-        Sensitivity of the clearance constraint.
-    uncertainty : UncertaintySet
-        The box of zeta.
-
-    Returns
-    -------
-    NDArray, shape (N + 1, 9)
-        [m]; alpha_p is the sum over channels plus eps_s.
-    """
+    """Terms |Pi_y,i,j| w_bar_j of eq. (12) [m], without eps_s; both of shape (N + 1, 9)."""
     return np.abs(pi_y) * uncertainty.half_widths
 
 
@@ -83,33 +66,7 @@ def worst_vertex(pi_y: Array, uncertainty: UncertaintySet) -> Array:
 def gust_margin(
     uncertainty: UncertaintySet, vehicle: Vehicle, horizon: int, sampling_time_s: float
 ) -> Array:
-    """Gust margin alpha_g,i = 1/2 (w_bar_g / m_min) (i T_s)^2, eq. (13).
-
-    Returns
-    -------
-    NDArray, shape (N + 1,)
-        [m].
-    """
+    """alpha_g,i = 1/2 (w_bar_g / m_min) (i T_s)^2 of eq. (13) [m], shape (N + 1,)."""
     min_mass_kg = (1.0 - uncertainty.mass) * vehicle.mass_kg
     time = sampling_time_s * np.arange(horizon + 1)
     return np.asarray(0.5 * uncertainty.gust_n / min_mass_kg * time**2, dtype=float)
-
-
-def tightened_residual(tower: Tower, positions: Array, alpha: Array) -> Array:
-    """Left side of eq. (14) in standard form, y(x_i) + alpha_i <= 0.
-
-    Parameters
-    ----------
-    tower : Tower
-        Radius and least clearance.
-    positions : NDArray, shape (N + 1, 3)
-        Planned positions, world frame [m].
-    alpha : NDArray, shape (N + 1,)
-        alpha_p + alpha_g [m].
-
-    Returns
-    -------
-    NDArray, shape (N + 1,)
-        [m], above zero where the tightened constraint is violated.
-    """
-    return tower.residual(positions) + alpha

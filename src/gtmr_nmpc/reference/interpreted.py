@@ -10,12 +10,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gtmr_nmpc.config import ControllerConfig, Mode
 from gtmr_nmpc.iteration import SLACK_TOLERANCE_M, IterationResult
-from gtmr_nmpc.margins import paper as margins
+from gtmr_nmpc.margins import Iterate, Tightening
 from gtmr_nmpc.reference.rti import Preparation, RealTimeIteration, Trajectory
 
 Array = NDArray[np.float64]
@@ -62,6 +64,19 @@ class InterpretedIteration:
         mode: Mode = "robust" if margin_scale > 0.0 else "nominal"
         self._preparation = self._rti.prepare(t, self._iterate, mode, margin_scale)
 
+    def linearised(self) -> Iterate:
+        """See `Iteration.linearised`."""
+        at = self._iterate
+        return Iterate(self._config, at.x, at.u, lambda: self._rti.sensitivities(at))
+
+    def tighten(self, tightening: Tightening) -> None:
+        """See `Iteration.tighten`."""
+        old = self._preparation
+        more = (tightening.total - old.margins.total)[1:]
+        self._preparation = replace(
+            old, margins=tightening, clearance_residual=old.clearance_residual + more
+        )
+
     def feedback(self, x: Array) -> IterationResult:
         """See `Iteration.feedback`."""
         result = self._rti.feedback(self._preparation, x)
@@ -72,14 +87,11 @@ class InterpretedIteration:
             status = "softened" if slack.max() > SLACK_TOLERANCE_M else "solved"
         tightening = self._preparation.margins
         # Stage 0 is measured, not planned: its violation is a fact and no variable of the QP.
-        now = margins.tightened_residual(self._config.tower, x[None, :3], tightening.total[:1])
+        now = self._config.tower.residual(x) + tightening.total[:1]
         return IterationResult(
             x_plan=self._last.x,
             u_plan=self._last.u,
-            alpha_p_by_channel=tightening.by_channel,
-            alpha_p=tightening.parametric,
-            alpha_g=tightening.gust,
+            tightening=tightening,
             slack=np.r_[np.maximum(now, 0.0), slack],
-            eps_s=tightening.eps_s,
             status=status,
         )

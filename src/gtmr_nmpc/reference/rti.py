@@ -21,10 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gtmr_model.dynamics import POSITION, ROTORS
+from gtmr_model.tower import clearance_curvature, clearance_gradient
 from gtmr_model.uncertainty import N_ZETA
 from gtmr_nmpc import ocp, sensitivity
 from gtmr_nmpc.config import ControllerConfig, Mode
-from gtmr_nmpc.margins import paper as margins
+from gtmr_nmpc.margins import Iterate, PaperMargin, Tightening
+from gtmr_nmpc.margins.paper import worst_vertex
 from gtmr_nmpc.reference.evaluate import Evaluator
 from gtmr_nmpc.reference.qp import CondensedQp
 
@@ -39,29 +41,6 @@ class Trajectory:
     """States, shape (N + 1, 12 + N_p)."""
     u: Array
     """Rotor accelerations [Hz/s], shape (N, N_p)."""
-
-
-@dataclass(frozen=True)
-class Tightening:
-    """Tightening of the clearance constraint along an iterate."""
-
-    by_channel: Array
-    """Terms of alpha_p without eps_s [m], shape (N + 1, 9)."""
-    eps_s: float
-    """[m]."""
-    gust: Array
-    """alpha_g [m], shape (N + 1,)."""
-
-    @property
-    def parametric(self) -> Array:
-        """alpha_p, eq. (12) [m], shape (N + 1,)."""
-        total: Array = self.by_channel.sum(axis=1) + self.eps_s
-        return total
-
-    @property
-    def total(self) -> Array:
-        """alpha_p + alpha_g [m], shape (N + 1,)."""
-        return self.parametric + self.gust
 
 
 @dataclass(frozen=True)
@@ -123,9 +102,6 @@ class RealTimeIteration:
         self.config = config
         self._sqrt_q = np.sqrt(ocp.stage_weights(config))
         self._sqrt_qf = np.sqrt(config.weights.terminal_position)
-        self._gust = margins.gust_margin(
-            config.uncertainty, config.vehicle, config.horizon, config.sampling_time_s
-        )
 
     def predict(self, x: Array, u: Array) -> Array:
         """Simulate one stage with the nominal model, eq. (5b).
@@ -214,18 +190,14 @@ class RealTimeIteration:
         hessian = 2.0 * (j_u.T @ j_u)
         hessian[np.diag_indices_from(hessian)] += 2.0 * q_u
 
-        gradient_y = ocp.clearance_gradient(iterate.x[:, POSITION])
+        gradient_y = clearance_gradient(iterate.x[:, POSITION])
         rows = np.einsum("ij,ijk->ik", gradient_y, dx_du[:, POSITION])
         rows_dx0 = np.einsum("ij,ijk->ik", gradient_y, dx_dx0[:, POSITION])
         offset = np.einsum("ij,ij->i", gradient_y, defect[:, POSITION])
         if robust:
             pi = sensitivity.propagate(a, rest[0])
-            pi_y = margins.clearance_sensitivity(iterate.x[:, POSITION], pi)
-            tightening = Tightening(
-                by_channel=margin_scale * margins.parametric_margin(pi_y, self.config.uncertainty),
-                eps_s=margin_scale * self.config.eps_s_m,
-                gust=margin_scale * self._gust,
-            )
+            told = Iterate(self.config, iterate.x, iterate.u, lambda: pi)
+            tightening = PaperMargin().tightening(told).scaled(margin_scale)
             if self.config.tightening == "gradient":
                 d_x, d_u = self._margin_gradient(iterate, a, pi)
                 d_x_flat = margin_scale * d_x.reshape(n + 1, -1)
@@ -234,10 +206,8 @@ class RealTimeIteration:
                 rows_dx0 += d_x_flat @ dx_dx0.reshape(-1, n_x)
                 offset += d_x_flat @ defect.ravel()
         else:
-            tightening = Tightening(np.zeros((n + 1, N_ZETA)), 0.0, np.zeros(n + 1))
-        tightened = margins.tightened_residual(
-            self.config.tower, iterate.x[:, POSITION], tightening.total
-        )
+            tightening = Tightening(np.zeros((n + 1, N_ZETA)), np.zeros(n + 1), np.zeros(n + 1))
+        tightened = self.config.tower.residual(iterate.x) + tightening.total
         return Preparation(
             iterate=iterate,
             margins=tightening,
@@ -300,9 +270,9 @@ class RealTimeIteration:
     def _margin_gradient(self, iterate: Trajectory, a: Array, pi: Array) -> tuple[Array, Array]:
         """Differentiate alpha_p,i = J_yx(x_i) Pi_i s_i with the signs s_i held."""
         n, n_x, n_u = self.config.horizon, self.config.vehicle.n_x, self.config.vehicle.n_rotors
-        gradient_y = ocp.clearance_gradient(iterate.x[:, POSITION])
-        pi_y = margins.clearance_sensitivity(iterate.x[:, POSITION], pi)
-        signs = margins.worst_vertex(pi_y, self.config.uncertainty)
+        gradient_y = clearance_gradient(iterate.x[:, POSITION])
+        pi_y = sensitivity.clearance_sensitivity(iterate.x[:, POSITION], pi)
+        signs = worst_vertex(pi_y, self.config.uncertainty)
         margin, step = np.tril_indices(n)
         margin = margin + 1
         # lambda of step k for margin i: J_yx carried back from stage i to stage k + 1.
@@ -324,7 +294,7 @@ class RealTimeIteration:
         d_x[margin, step] = gradient[:, :n_x]
         d_u[margin, step] = gradient[:, n_x:]
         stages = np.arange(n + 1)
-        d_x[stages, stages, POSITION] += ocp.clearance_curvature(
+        d_x[stages, stages, POSITION] += clearance_curvature(
             iterate.x[:, POSITION], direction[stages, stages, POSITION]
         )
         return d_x, d_u

@@ -15,9 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
+from gtmr_model import ConfigError
 from gtmr_nmpc import Controller, ControllerConfig, Mode
 from gtmr_nmpc.compiled import codegen
 from gtmr_nmpc.compiled.iteration import CompiledIteration, CParameters, parameters
+from gtmr_nmpc.margins import PaperMargin
 from gtmr_sim import Scenario, Simulation
 
 FLIGHT_S = 10.0
@@ -40,7 +42,11 @@ def export_c(config: ControllerConfig, mode: Mode, folder: Path) -> list[Path]:
     ------
     CompileError
         If there is no C compiler to record the flight with.
+    ConfigError
+        If the margin is not the paper's.
     """
+    if not isinstance(config.margin, PaperMargin):
+        raise ConfigError(f"margin = {config.margin.kind!r}: in C there is the paper's alone")
     own = files("gtmr_study.export")
     contents = codegen.c_sources(config) | {
         "parameters.h": _parameters_header(config),

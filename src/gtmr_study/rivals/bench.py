@@ -26,14 +26,14 @@ from numpy.typing import NDArray
 
 from gtmr_model import ConfigError
 from gtmr_nmpc import Controller, ControllerConfig, Mode
-from gtmr_nmpc.config import Tightening
+from gtmr_nmpc.config import TighteningOrder
 from gtmr_sim import GustConfig, Scenario, Simulation
 from gtmr_study.rivals.do_mpc import DoMpcRival
 from gtmr_study.rivals.nlp import InspectionNlp, NlpSolution
 
 Array = NDArray[np.float64]
 
-CONTROLLERS: tuple[tuple[str, Mode, Tightening], ...] = (
+CONTROLLERS: tuple[tuple[str, Mode, TighteningOrder], ...] = (
     ("nominal", "nominal", "frozen"),
     ("frozen", "robust", "frozen"),
     ("gradient", "robust", "gradient"),
@@ -137,7 +137,7 @@ def _recoveries(scenario: Scenario, steps: int) -> Iterator[tuple[float, Array]]
 
 
 def time_controller(
-    situation: Situation, mode: Mode, tightening: Tightening
+    situation: Situation, mode: Mode, tightening: TighteningOrder
 ) -> dict[str, dict[str, float]]:
     """Time the controller on a situation.
 

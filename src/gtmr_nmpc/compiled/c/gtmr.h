@@ -81,6 +81,16 @@ void gtmr_warm(gtmr_controller *controller, int steps);
 void gtmr_prepare(gtmr_controller *controller, double t, double margin_scale);
 
 /*
+ * The iterate of the step that was prepared, for margins of one's own: x (N+1, 12+N_p),
+ * u (N, N_p), and in robust mode Pi without the rotor speeds (N+1, 12, 9).
+ */
+void gtmr_iterate(const gtmr_controller *controller, double *x, double *u, double *Pi);
+
+/* Tighten the clearance of stages 0 to N of the step that was prepared by alpha (N+1) [m] instead
+ * of eq. (12) and (13); with_margin_gradient has to be 0. The plan then says alpha as alpha_p. */
+void gtmr_tighten(gtmr_controller *controller, const double *alpha);
+
+/*
  * Plan from the measured state, its yaw within pi of the iterate's.
  *
  * plan: x (N+1, 12+N_p), u (N, N_p), terms of alpha_p (N+1, 9), alpha_p (N+1), alpha_g (N+1),

@@ -69,6 +69,30 @@ void gtmr_clearance_along_iterate(gtmr_controller *c)
     }
 }
 
+void gtmr_iterate(const gtmr_controller *c, double *x, double *u, double *Pi)
+{
+    memcpy(x, c->x, sizeof c->x);
+    memcpy(u, c->u, sizeof c->u);
+    for (int i = 0; i <= STAGES; ++i) {
+        for (int r = 0; r < BODY; ++r, Pi += N_ZETA) {
+            memcpy(Pi, c->Pi[i][r], N_ZETA * sizeof(double));
+        }
+    }
+}
+
+void gtmr_tighten(gtmr_controller *c, const double *alpha)
+{
+    for (int i = 0; i <= STAGES; ++i) {
+        clearance *y = &c->clearances[i];
+        double constraint[3];
+        gtmr_clearance_at(&c->parameters, c->x[i], constraint);
+        memset(y->by_channel, 0, sizeof y->by_channel);
+        y->alpha_p = alpha[i];
+        y->alpha_g = 0.0;
+        y->residual = constraint[0] + alpha[i];
+    }
+}
+
 /* Pi s: how the state moves when zeta goes to its worst vertex. */
 static void worst_direction(const gtmr_controller *c, int stage, const double *signs,
                             double *direction)

@@ -46,8 +46,8 @@ class Step:
     """Where the rotor speeds came from, see ``SOURCES``."""
     by_channel: Array
     """The terms of alpha_p, eq. (12) [m], shape (N + 1, 9)."""
-    eps_s: float
-    """The constant term of eq. (12) [m]."""
+    eps_s: Array
+    """What of alpha_p belongs to no channel [m], shape (N + 1,)."""
     alpha_g: Array
     """Gust margin, eq. (13) [m], shape (N + 1,)."""
     slack: Array
@@ -113,7 +113,7 @@ class Replay:
         return MarginHistory(
             self._times(),
             np.array([step.by_channel for step in steps]),
-            np.array([np.full(step.alpha_g.size, step.eps_s) for step in steps]),
+            np.array([step.eps_s for step in steps]),
             np.array([step.alpha_g for step in steps]),
             np.array([step.slack for step in steps]),
         )

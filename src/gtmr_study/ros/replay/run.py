@@ -157,7 +157,7 @@ def _step(
         mode=controller.mode,
         rotor_source=rotor_source,
         by_channel=np.array(solution.alpha_p_by_channel),
-        eps_s=float(solution.eps_s),
+        eps_s=np.array(solution.eps_s),
         alpha_g=np.array(solution.alpha_g),
         slack=np.array(solution.slack),
         foreseen=float(config.tower.residual(solution.x_plan[-1, POSITION])),

@@ -1,0 +1,93 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What a margin is: told the iterate, it says by how much to tighten every stage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gtmr_model import N_ZETA, OneOfKinds
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Tightening:
+    """By how much the clearance constraint is tightened at stages 0..N [m], eq. (14)."""
+
+    by_channel: Array
+    """What of alpha_p each channel of zeta brings, shape (N + 1, 9)."""
+    eps_s: Array
+    """What of alpha_p no channel brings: eps_s of eq. (12), shape (N + 1,)."""
+    gust: Array
+    """alpha_g, shape (N + 1,)."""
+
+    @property
+    def parametric(self) -> Array:
+        """alpha_p, shape (N + 1,)."""
+        return np.asarray(self.by_channel.sum(axis=1) + self.eps_s)
+
+    @property
+    def total(self) -> Array:
+        """alpha_p + alpha_g, shape (N + 1,)."""
+        return self.parametric + self.gust
+
+    def scaled(self, by: float) -> Tightening:
+        """Let only a part of it count, 0 to 1."""
+        return Tightening(by * self.by_channel, by * self.eps_s, by * self.gust)
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """The plan along which the next one is linearised: what a margin may depend on."""
+
+    config: Any
+    """The problem, a `ControllerConfig`."""
+    x: Array
+    """States, shape (N + 1, 12 + N_p)."""
+    u: Array
+    """Rotor accelerations [Hz/s], shape (N, N_p)."""
+    sensitivities: Callable[[], Array]
+    """Computes Pi."""
+
+    @cached_property
+    def Pi(self) -> Array:
+        """Sensitivities dx/dzeta of eq. (8), shape (N + 1, 12 + N_p, 9); computed when asked."""
+        return self.sensitivities()
+
+
+class Margin(OneOfKinds):
+    """A margin; a subclass with a ``kind`` of its own can be chosen by that name."""
+
+    kind: str = "paper"
+    """Which margin."""
+
+    def tightening(self, iterate: Iterate) -> Tightening | ArrayLike:
+        """Say by how much to tighten: as a whole, shape (N + 1,) [m], or by its parts."""
+        raise NotImplementedError
+
+
+def tightening_of(margin: Margin, iterate: Iterate) -> Tightening:
+    """Ask a margin, and refuse with a ValueError what is no tightening of N + 1 stages."""
+    stages, given = len(iterate.x), margin.tightening(iterate)
+    if not isinstance(given, Tightening):
+        nothing = np.zeros((stages, N_ZETA)), np.zeros(stages)
+        given = Tightening(nothing[0], np.asarray(given, dtype=float), nothing[1])
+    shapes = given.by_channel.shape, given.eps_s.shape, given.gust.shape
+    if shapes != ((stages, N_ZETA), (stages,), (stages,)) or not np.isfinite(given.total).all():
+        raise ValueError(
+            f"{type(margin).__name__} gave a tightening that is not {stages} finite numbers [m]"
+        )
+    return given
