@@ -85,12 +85,7 @@ class MonitorParameters(YamlModel):
 class WatchedVehicle:
     """One of the vehicles that a monitor watches: its residual, and what is published of it.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The monitor.
-    namespace : str
-        Of the vehicle, relative to the monitor's own; empty for that.
+    Its namespace is relative to that of the node, the monitor; empty for that.
     """
 
     def __init__(self, node: Node, namespace: str) -> None:
@@ -131,15 +126,8 @@ class WatchedVehicle:
 class MonitorNode(SuiteNode):
     """Publishes clearance and residual for every odometry message, and records every topic.
 
-    Parameters
-    ----------
-    managed : bool
-        Whether lifecycle services say when it watches.
-
-    Raises
-    ------
-    ConfigError
-        If a parameter cannot be used.
+    If it is ``managed``, lifecycle services say when it watches. Raises ConfigError if a parameter
+    cannot be used.
     """
 
     PRESETS: ClassVar[dict[str, str]] = {}

@@ -22,10 +22,7 @@ class Recorder:
 
     The folder is new or empty; ``on_failure`` is told in one line what went wrong.
 
-    Raises
-    ------
-    BagError
-        If there can be no bag in the folder.
+    Raises BagError if there can be no bag in the folder.
     """
 
     def __init__(self, folder: str, on_failure: Callable[[str], object]) -> None:

@@ -70,10 +70,7 @@ def read_flight(path: str | Path, vehicle: str | None = None) -> Flight:
 def flight_of(recording: Recording) -> Flight:
     """Make arrays of a recording, in the units of a flight.
 
-    Raises
-    ------
-    BagError
-        If recorded parameters make no tower or helix.
+    Raises BagError if recorded parameters make no tower or helix.
     """
     path, odometry = recording.path, recording.odometry
     by_arrival = sorted(odometry, key=lambda item: item.received_ns)

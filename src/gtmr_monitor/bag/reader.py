@@ -60,12 +60,7 @@ class BagMessage:
     """The message in CDR."""
 
     def decode(self) -> Any:
-        """Deserialise the message.
-
-        Returns
-        -------
-        Any
-            An object with the fields of the ROS message.
+        """Deserialise the message into an object with the fields of the ROS message.
 
         Raises
         ------
@@ -81,17 +76,8 @@ class BagMessage:
 def bag_files(path: str | Path) -> list[Path]:
     """List the MCAP files of a bag, at least one, in the order in which they were recorded.
 
-    A bag is a rosbag2 folder, with or without its metadata.yaml, or an MCAP file.
-
-    Returns
-    -------
-    list of pathlib.Path
-        At least one.
-
-    Raises
-    ------
-    BagError
-        If there is no such path, or no MCAP file in it.
+    A bag is a rosbag2 folder, with or without its metadata.yaml, or an MCAP file. Raises
+    BagError if there is no such path, or no MCAP file in it.
     """
     path = Path(path)
     if not path.exists():
@@ -109,10 +95,6 @@ def read_messages(path: str | Path) -> Iterator[BagMessage]:
 
     A bag without an end is read up to its last whole chunk, with a ``TruncatedBagWarning``.
 
-    Yields
-    ------
-    BagMessage
-
     Raises
     ------
     BagError
@@ -125,10 +107,7 @@ def read_messages(path: str | Path) -> Iterator[BagMessage]:
 def is_whole(path: str | Path) -> bool:
     """Say whether every file of a bag was closed by its writer.
 
-    Raises
-    ------
-    BagError
-        If the path is not a bag.
+    Raises BagError if the path is not a bag.
     """
     return all(file.read_bytes()[-MAGIC_SIZE:] == MCAP0_MAGIC for file in bag_files(path))
 

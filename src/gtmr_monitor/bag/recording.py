@@ -123,10 +123,7 @@ class Recording:
 def decoded(messages: Iterable[BagMessage]) -> list[Recorded]:
     """Decode messages, in the order in which they come.
 
-    Raises
-    ------
-    BagError
-        If the data of one do not fit its type.
+    Raises BagError if the data of one do not fit its type.
     """
     result = []
     for raw in messages:
@@ -140,14 +137,7 @@ def decoded(messages: Iterable[BagMessage]) -> list[Recorded]:
 def last_flight(received: list[Recorded]) -> tuple[list[Recorded], list[Recorded], int]:
     """Sort what came after the last reset by its stamps, each stamp once.
 
-    Returns
-    -------
-    flown : list of Recorded
-        By growing stamp.
-    before : list of Recorded
-        What came before the reset, as it came.
-    late : int
-        How many of those flown came behind newer ones.
+    Returned too: what came before the reset, as it came, and how many of those flown were late.
     """
     order, begin = StampOrder(), 0
     for k, item in enumerate(received):

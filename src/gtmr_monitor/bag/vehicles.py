@@ -73,10 +73,8 @@ def read_recording(
 def read_recordings(path: str | Path, vehicle: str | None = None) -> list[Recording]:
     """Read the flights of the vehicles in a bag, or of one, named as in `read_flights`.
 
-    Raises
-    ------
-    BagError
-        If the path is not a bag, or holds no odometry on a topic ``odom``, or not that vehicle's.
+    Raises BagError if the path is not a bag, or holds no odometry on a topic ``odom``, or not that
+    vehicle's.
     """
     bag = _Bag(Path(path))
     if not bag.ours:

@@ -61,13 +61,7 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 
 def save(draw: Draw, stem: Path, formats: Sequence[str] = ("png", "pdf")) -> list[Path]:
-    """Draw a figure into a file of each format; the stem is the path without the ending.
-
-    Returns
-    -------
-    list of pathlib.Path
-        The files.
-    """
+    """Draw a figure into a file of each format; the stem is the path without the ending."""
     paths = [stem.with_name(f"{stem.name}.{ending}") for ending in formats]
     with rc_context(_STYLE):
         figure = draw()
@@ -77,13 +71,7 @@ def save(draw: Draw, stem: Path, formats: Sequence[str] = ("png", "pdf")) -> lis
 
 
 def inline_svg(draw: Draw) -> str:
-    """Draw a figure as an element of an HTML page.
-
-    Returns
-    -------
-    str
-        An svg element.
-    """
+    """Draw a figure as an svg element of an HTML page."""
     buffer = io.StringIO()
     with rc_context(_STYLE):
         draw().savefig(buffer, format="svg", metadata=_NO_DATE["svg"])

@@ -69,14 +69,9 @@ def page(title: str, body: str, script: str = "") -> str:
 
 
 def table(heads: Sequence[tuple[str, str]], rows: Sequence[tuple[str, Sequence[str]]]) -> str:
-    """Make a table with a title for every row.
+    """Make a table of rows, each a title and its cells in HTML.
 
-    Parameters
-    ----------
-    heads : sequence of (str, str)
-        Of every column the title in plain text, and its colour, empty for none.
-    rows : sequence of (str, sequence of str)
-        Title and cells, HTML.
+    Each head is a column's title in plain text, and its colour, empty for none.
     """
     head = "".join(
         f'<th scope="col">{_key(colour)}{escape(title)}</th>' for title, colour in heads

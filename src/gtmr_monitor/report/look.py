@@ -109,10 +109,7 @@ def lines(flights: Sequence[Flight]) -> list[Line]:
 def margin_parts(margins: MarginHistory) -> dict[str, NDArray[np.float64]]:
     """Split the total margin into its parts, in the order in which they are stacked.
 
-    Returns
-    -------
-    dict from str to NDArray, shape (M, N + 1)
-        By channel of zeta, then ``eps_s`` and ``gust`` [m].
+    By channel of zeta, then ``eps_s`` and ``gust``, each [m], shape (M, N + 1).
     """
     channels = list(MARGIN_COLOURS)[:9]
     parts = {name: margins.by_channel[:, :, j] for j, name in enumerate(channels)}
@@ -125,13 +122,7 @@ def rotor_colour(rotor: int) -> str:
 
 
 def solve_time_bins(flights: Sequence[Flight]) -> NDArray[np.float64]:
-    """Edges of the histogram of solve times [ms], evenly spread on a logarithmic scale.
-
-    Returns
-    -------
-    NDArray
-        [ms].
-    """
+    """Edges of the histogram of solve times [ms], evenly spread on a logarithmic scale."""
     times = np.concatenate([flight.solve_ms for flight in flights] or [np.ones(1)])
     times = times[times > 0.0]
     low, high = (times.min(), times.max()) if times.size else (1.0, 1.0)
@@ -145,24 +136,12 @@ def tightened(flown: Sequence[tuple[Flight, Line]]) -> list[tuple[Flight, Line]]
 
 
 def moved(flown: Sequence[tuple[Flight, Line]]) -> list[tuple[Flight, Line]]:
-    """Pick the flights that were flown: the motion of a replayed one is that of another.
-
-    Returns
-    -------
-    list of (Flight, Line)
-        At least one.
-    """
+    """Pick those that were flown, or else all: the motion of a replayed one is another's."""
     return [(flight, line) for flight, line in flown if not flight.replayed] or list(flown)
 
 
 def residual_range(flights: Sequence[Flight]) -> tuple[float, float]:
-    """Limits [m] of an axis for residuals, with room for words above the safety line.
-
-    Returns
-    -------
-    tuple of float
-        [m].
-    """
+    """Limits [m] of an axis for residuals, with room for words above the safety line."""
     drawn = [flight.residual for flight in flights]
     drawn += [f.predictions.residual for f in flights if f.predictions is not None]
     low = min(float(values.min(initial=np.inf)) for values in drawn)

@@ -67,19 +67,9 @@ Row = tuple[str, Value]
 def write_report(flights: Sequence[Flight], out_html: str | Path) -> list[Path]:
     """Write a report on flights, compared side by side; the first gives tower and reference.
 
-    Figures go beside the HTML file as ``<stem>-<figure>.png``. All are written over.
-
-    Returns
-    -------
-    list of pathlib.Path
-        What was written, the HTML file first.
-
-    Raises
-    ------
-    ValueError
-        If there is no flight.
-    BagError
-        If the files cannot be written.
+    Figures go beside the HTML file as ``<stem>-<figure>.png``. All are written over, and returned,
+    the HTML file first. Raises ValueError if there is no flight; BagError if the files cannot be
+    written.
     """
     if not flights:
         raise ValueError("a report needs at least one flight")

@@ -237,13 +237,7 @@ FIGURES: dict[str, Callable[[Flown], Figure]] = {
 
 
 def write_figures(flown: Flown, prefix: Path) -> list[Path]:
-    """Draw every figure into a PNG file: the prefix, then the figure's name.
-
-    Returns
-    -------
-    list of pathlib.Path
-        The files.
-    """
+    """Draw every figure into a PNG file: the prefix, then the figure's name."""
     files = []
     for name, draw in FIGURES.items():
         stem = prefix.with_name(f"{prefix.name}-{name.replace('_', '-')}")

@@ -61,10 +61,7 @@ def fly_in_ros(
     The folder is new or empty, and receives the bag and a log of each node; ``on_progress`` is
     called while flying.
 
-    Raises
-    ------
-    DemoError
-        If a node ends with an error, or simulated time stands still.
+    Raises DemoError if a node ends with an error, or simulated time stands still.
     """
     folder.mkdir(parents=True, exist_ok=True)
     # Another graph on this machine must not hear this one, nor the other way round.

@@ -58,13 +58,7 @@ class LiveView:
         self.page.add_joints(self.tower)
 
     def watch(self, node: Node, mode: str) -> Callable[[], None]:
-        """Show the flight that a node can hear.
-
-        Returns
-        -------
-        callable
-            Brings the page up to date; call it as often as you like.
-        """
+        """Show the flight that a node can hear; call what is returned as often as you like."""
         return _Flight(self, node, mode).refresh
 
 

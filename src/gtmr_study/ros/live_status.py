@@ -52,25 +52,10 @@ def status(
     min_clearance_m: float,
     duration_s: float,
 ) -> str:
-    """Say how the flights go.
+    """Say in HTML how the flights go, each ``duration_s`` long [s], of which ``mode`` flies now.
 
-    Parameters
-    ----------
-    standings : mapping from str to Standing
-        Of every mode, in the order in which they are flown.
-    mode : str
-        What is flown now.
-    margin_m : float
-        The largest tightening of the plan, alpha_p + alpha_g [m].
-    min_clearance_m : float
-        d_min [m].
-    duration_s : float
-        Length of a flight [s].
-
-    Returns
-    -------
-    str
-        HTML.
+    The standings are in the order of the flights. The margin is the largest tightening of the
+    plan, alpha_p + alpha_g [m]; d_min is in [m].
     """
     now = standings[mode]
     share = 100.0 * min(now.time_s / duration_s, 1.0)

@@ -72,10 +72,7 @@ class Playlist:
 def read_playlist(path: str | Path, everything: bool = False) -> Playlist:
     """Look through a bag for what is to be played: every topic, or what the nodes need.
 
-    Raises
-    ------
-    BagError
-        If the path is not a bag, or holds nothing to play.
+    Raises BagError if the path is not a bag, or holds nothing to play.
     """
     path = Path(path)
     there: dict[str, str] = {}
@@ -106,33 +103,14 @@ def play(
     """Publish the messages of a bag at the intervals at which they were recorded.
 
     /clock is played as recorded; a bag without one gets the time at which its messages were
-    recorded, as ``ros2 bag play --clock`` does. Messages go out as the bytes that were recorded.
+    recorded, as ``ros2 bag play --clock`` does. Messages go out as the bytes that were recorded,
+    ``rate`` times as fast as recorded; a loop begins again at the end, for ever. Before, it waits
+    at most ``wait_s`` [s] until somebody listens to odometry and rotor speeds.
 
-    Parameters
-    ----------
-    playlist : Playlist
-        What to play.
-    rate : float
-        How many times as fast as it was recorded.
-    loop : bool
-        Whether to begin again at the end, for ever.
-    wait_s : float
-        How long to wait until somebody listens to odometry and rotor speeds, at most [s].
-    on_progress : callable, optional
-        Called while playing.
-    stop : threading.Event, optional
-        Ends the playback when it is set. A KeyboardInterrupt would do so too, but is lost where
-        it falls into a callback from C.
+    ``stop`` ends the playback when it is set. A KeyboardInterrupt would do so too, but is lost
+    where it falls into a callback from C. What a user should know is returned, one sentence each.
 
-    Returns
-    -------
-    list of str
-        What a user should know, one sentence each.
-
-    Raises
-    ------
-    BagError
-        If a message type of the playlist is not installed.
+    Raises BagError if a message type of the playlist is not installed.
     """
     stop = stop if stop is not None else Event()
     messages = {name: _message_class(playlist, kind) for name, kind in playlist.types.items()}

@@ -22,22 +22,10 @@ from gtmr_nmpc import MODES, ControllerConfig, Mode
 class RecordedParameters:
     """The controller's problem and mode as a recorded flight goes on.
 
-    Parameters
-    ----------
-    recording : Recording
-        The flight.
-    mode : str, optional
-        To be taken throughout, whatever is recorded.
-    config : ControllerConfig, optional
-        To be taken throughout, whatever is recorded.
-    vehicle : Vehicle, optional
-        To be taken throughout, in place of that of the problem.
+    A mode, problem or vehicle that is given is taken throughout, whatever is recorded.
 
-    Raises
-    ------
-    ConfigError
-        If the recorded parameters make no configuration, as where the vehicle is a file that is
-        gone.
+    Raises ConfigError if the recorded parameters make no configuration, as where the vehicle is a
+    file that is gone.
     """
 
     def __init__(
@@ -67,10 +55,7 @@ class RecordedParameters:
     def advance(self, time_ns: int) -> bool:
         """Take over what was changed before a Unix time [ns]; say whether anything was.
 
-        Raises
-        ------
-        ConfigError
-            If the parameters make no configuration any more.
+        Raises ConfigError if the parameters make no configuration any more.
         """
         values = dict(self._values)
         while self._changes and self._changes[0].sent_ns < time_ns:

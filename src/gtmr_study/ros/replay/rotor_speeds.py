@@ -45,17 +45,9 @@ def quasi_static_rotor_speeds(x: ArrayLike, vehicle: Vehicle) -> NDArray[np.floa
     Accelerations are neglected, as differentiating measured velocities brings in more noise than
     the slow flight along a tower has of them; so are wind and mismatch, which nobody knows.
 
-    Parameters
-    ----------
-    x : array_like, shape (12,) or longer
-        [p, eta, v, omega, ...]: m, rad, m/s, rad/s; world ENU, omega in body FLU.
-    vehicle : Vehicle
-        Nominal parameters.
-
-    Returns
-    -------
-    NDArray, shape (N_p,)
-        [Hz], within the limits of the rotors; where they cannot give that wrench, the nearest.
+    x begins with [p, eta, v, omega]: m, rad, m/s, rad/s; world ENU, omega in body FLU. The speeds
+    [Hz], shape (N_p,), are within the rotors' limits; where they cannot give that wrench, the
+    nearest.
     """
     state = np.asarray(x, dtype=float)
     v, omega = state[VELOCITY], state[RATE]
@@ -88,21 +80,9 @@ class RotorSpeeds:
         self._xi = np.array([xi for _, xi in measured]).reshape(-1, self._vehicle.n_rotors)
 
     def at(self, state: State, plan: RotorPlan | None) -> tuple[Array, str]:
-        """Find the rotor speeds that belong to an odometry.
+        """Find the rotor speeds [Hz], shape (N_p,), at an odometry, and their key in ``SOURCES``.
 
-        Parameters
-        ----------
-        state : State
-            The odometry.
-        plan : RotorPlan or None
-            The recorded command that answers it: it begins with the speeds it was made from.
-
-        Returns
-        -------
-        xi : NDArray, shape (N_p,)
-            Rotor speeds [Hz].
-        source : str
-            Where they come from, a key of ``SOURCES``.
+        The plan is the recorded answer to it: it begins with the speeds it was made from.
         """
         after = int(np.searchsorted(self._stamps, state.stamp_ns))
         near = [k for k in (after - 1, after) if 0 <= k < len(self._stamps)]

@@ -36,10 +36,7 @@ class State:
 def usable_states(recording: Recording, notes: list[str]) -> list[State]:
     """Read the states, by growing stamp; what is left out is noted.
 
-    Raises
-    ------
-    BagError
-        If none can be used.
+    Raises BagError if none can be used.
     """
     states = []
     for item in recording.odometry:
