@@ -58,32 +58,11 @@ def calibrate(
 ) -> dict[str, Any]:
     """Search with Optuna's tree-structured Parzen estimator, or go on with a search.
 
-    Parameters
-    ----------
-    base : Study
-        Trials, duration and seed. Every set flies the same trials.
-    target : str
-        ``nominal``: the nominal rows of Table II and Fig. 2; ``both``: the robust rows as well.
-    sets : int
-        How many sets of values there shall be in all; the first are those of `PRESETS`.
-    folder : pathlib.Path
-        Keeps the search and, as a scenario, its best set; a search that is there already is gone
-        on with.
-    n_workers : int, optional
-        Processes; one per processor if left out.
-    on_progress : callable, optional
-        Called after each set.
-
-    Returns
-    -------
-    dict
-        ``target``, ``sets``, ``presets`` (their distances by name), and of the best set
-        ``distance``, ``parameters``, ``deviations`` and ``summary``.
-
-    Raises
-    ------
-    InputError
-        If the folder holds anything else.
+    Every set of values flies the trials of ``base``; there are ``sets`` of them in all, first
+    those of `PRESETS`. ``target`` says which rows count: ``nominal``, or ``both``. ``folder``
+    keeps the search and, as a scenario, its best set; InputError if it holds anything else.
+    Returns ``target``, ``sets``, ``presets`` (their distances by name), and of the best set
+    ``distance``, ``parameters``, ``deviations`` and ``summary``.
     """
     modes: tuple[Mode, ...] = MODES if target == "both" else ("nominal",)
     base = base.model_copy(update={"modes": modes})

@@ -49,10 +49,7 @@ class OwnController:
     def named(cls, option: str, value: str) -> OwnController | None:
         """Read ``file.py:Class``; None if the value of an option names no Python file.
 
-        Raises
-        ------
-        InputError
-            If it does, but the file cannot be read.
+        InputError if it does, but the file cannot be read.
         """
         path, _, name = value.rpartition(":")
         if not path.endswith(".py"):
@@ -76,10 +73,7 @@ class OwnController:
     def make(self, config: ControllerConfig) -> StepController:
         """Run the file and make one controller, for one flight: nothing is shared with others.
 
-        Raises
-        ------
-        InputError
-            If the file does not run, has no such class, or its constructor raises.
+        InputError if the file does not run, has no such class, or its constructor raises.
         """
         module = ModuleType(f"own_controller_{self.fingerprint.sha256[:16]}")
         module.__file__ = self.path

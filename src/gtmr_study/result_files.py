@@ -20,12 +20,9 @@ class InputError(ValueError):
 
 
 def require_new_file(option: str, path: Path | None) -> None:
-    """Check that the file of an option can be written without overwriting anything; None passes.
+    """Check that an option's file can be written without overwriting anything; None passes.
 
-    Raises
-    ------
-    InputError
-        If the file exists, or its folder does not.
+    InputError if the file exists, or its folder does not.
     """
     if path is None:
         return
@@ -35,13 +32,7 @@ def require_new_file(option: str, path: Path | None) -> None:
 
 
 def require_folder_of(option: str, path: Path | None) -> None:
-    """Check that the folder of an option's file exists; None passes.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist, or the path is a folder itself.
-    """
+    """Check that the folder of an option's file exists, and the file is no folder; None passes."""
     if path is None:
         return
     if not path.absolute().parent.is_dir():
@@ -51,13 +42,7 @@ def require_folder_of(option: str, path: Path | None) -> None:
 
 
 def require_empty_folder(option: str, path: Path) -> None:
-    """Check that the folder of an option is new or empty.
-
-    Raises
-    ------
-    InputError
-        If it holds anything, or is no folder.
-    """
+    """Check that the folder of an option is new or empty; InputError if it is not."""
     if path.exists() and not path.is_dir():
         raise InputError(f"{option} = {path}: is a file, expected a new or empty folder")
     if path.is_dir() and any(path.iterdir()):

@@ -44,17 +44,7 @@ Result = TypeVar("Result")
 
 @contextmanager
 def local_workers(count: int | None = None) -> Iterator[Client]:
-    """Start Dask workers on this machine.
-
-    Parameters
-    ----------
-    count : int, optional
-        Processes; one per processor if left out.
-
-    Yields
-    ------
-    distributed.Client
-    """
+    """Start Dask workers on this machine, one per processor if it is not said how many."""
     _be_quiet()
     n = count if count is not None else len(os.sched_getaffinity(0))
     with _deaf_to_interrupts():
@@ -85,17 +75,7 @@ def _deaf_to_interrupts() -> Iterator[None]:
 
 @contextmanager
 def remote_workers(scheduler: str) -> Iterator[Client]:
-    """Connect to a running Dask scheduler.
-
-    Yields
-    ------
-    distributed.Client
-
-    Raises
-    ------
-    InputError
-        If it does not answer, or has no workers.
-    """
+    """Connect to a running Dask scheduler; InputError if it does not answer or has no workers."""
     _be_quiet()
     try:
         with dask.config.set({"distributed.comm.timeouts.connect": CONNECT_TIMEOUT_S}):
@@ -118,24 +98,7 @@ def remote_workers(scheduler: str) -> Iterator[Client]:
 
 @contextmanager
 def workers(count: int | None = None, scheduler: str | None = None) -> Iterator[Client]:
-    """Start workers on this machine, or connect to those of a scheduler.
-
-    Parameters
-    ----------
-    count : int, optional
-        Processes on this machine; one per processor if left out.
-    scheduler : str, optional
-        Address of a running scheduler, instead.
-
-    Yields
-    ------
-    distributed.Client
-
-    Raises
-    ------
-    InputError
-        If the scheduler does not answer, or has no workers.
-    """
+    """Start workers on this machine, or connect to those of a scheduler, given by its address."""
     chosen = local_workers(count) if scheduler is None else remote_workers(scheduler)
     with chosen as client:
         yield client
@@ -144,23 +107,9 @@ def workers(count: int | None = None, scheduler: str | None = None) -> Iterator[
 def fly_on(
     client: Client, study: Study, flights: Flights, own: OwnController | None = None
 ) -> Iterator[list[Row]]:
-    """Fly on workers, in chunks.
+    """Fly on workers, in chunks; give the rows of each as it is done.
 
-    Parameters
-    ----------
-    client : distributed.Client
-        The workers; one that dies has its chunks flown again elsewhere.
-    study : Study
-        The campaign.
-    flights : sequence of (int, str)
-        Numbers of trials, and modes.
-    own : OwnController or None
-        See `fly_trial`.
-
-    Yields
-    ------
-    list of dict
-        The rows of one chunk, in the order in which chunks are done.
+    A worker that dies has its chunks flown again elsewhere.
     """
     chunks = list(chunked(flights, study.duration_s))
     for chunk, rows in run_chunks(client, partial(fly_trials, own=own), study, chunks):
@@ -179,10 +128,7 @@ def run_chunks(
 ) -> Iterator[tuple[Chunk, Result | BaseException]]:
     """Run a function of a study and a chunk on workers.
 
-    Yields
-    ------
-    tuple
-        A chunk and its result, or what was raised, in the order in which they are done.
+    Gives each chunk and its result, or what was raised, in the order in which they are done.
     """
     futures = {client.submit(function, study, chunk, pure=False): chunk for chunk in chunks}
     of = {future.key: chunk for future, chunk in futures.items()}

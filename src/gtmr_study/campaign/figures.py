@@ -47,18 +47,7 @@ class Campaign:
 
     @classmethod
     def read(cls, folder: Path) -> Campaign:
-        """Read a campaign's folder.
-
-        Parameters
-        ----------
-        folder : pathlib.Path
-            As `fly_campaign` writes it, finished or not.
-
-        Raises
-        ------
-        InputError
-            If the folder holds no campaign.
-        """
+        """Read a campaign's folder, finished or not; InputError if it holds none."""
         return cls(folder.resolve().name, read_study(folder), read_trials(folder))
 
     @property
@@ -93,16 +82,9 @@ def residual(campaign: Campaign) -> Figure:
 
 
 def draw_boxes(axes: Any, boxes: list[dict[str, float]], colours: list[str]) -> None:
-    """Draw box plots from five numbers each, with the safety line at zero.
+    """Draw box plots from five numbers each [m], with the safety line at zero.
 
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        Where.
-    boxes : list of dict
-        ``min``, ``q1``, ``median``, ``q3``, ``max`` [m]; the whiskers go to the extremes.
-    colours : list of str
-        One for each.
+    A box has ``min``, ``q1``, ``median``, ``q3`` and ``max``; the whiskers go to the extremes.
     """
     keys = {"whislo": "min", "q1": "q1", "med": "median", "q3": "q3", "whishi": "max"}
     drawn = axes.bxp(
@@ -254,17 +236,6 @@ def figures_of(campaign: Campaign) -> dict[str, Callable[[], Figure]]:
 
 
 def write_figures(folder: Path) -> list[Path]:
-    """Draw every figure of a campaign into its folder, as PNG and PDF.
-
-    Returns
-    -------
-    list of pathlib.Path
-        The files; none if no trial has flown.
-
-    Raises
-    ------
-    InputError
-        If the folder holds no campaign.
-    """
+    """Draw every figure of a campaign into its folder, as PNG and PDF; none without flights."""
     figures = figures_of(Campaign.read(folder))
     return [path for name, draw in figures.items() for path in save(draw, folder / name)]

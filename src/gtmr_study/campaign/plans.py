@@ -56,19 +56,10 @@ class TrialPlan(YamlModel):
         return self
 
     def points(self, uncertainty: UncertaintySet, seed: int) -> Array | None:
-        """List the points of the plan; trial k flies point k modulo their number.
+        """List the plan's values of zeta, shape (n, 9); trial k flies point k modulo n.
 
-        Parameters
-        ----------
-        uncertainty : UncertaintySet
-            The box.
-        seed : int
-            Shuffles the vertices, so that fewer trials than vertices are a fair choice of them.
-
-        Returns
-        -------
-        NDArray, shape (n, 9), or None
-            Values of zeta; None for ``random``, where the trial's own seed draws them.
+        None for ``random``, where the trial's own seed draws them. The seed shuffles the vertices,
+        so that fewer trials than vertices are a fair choice of them.
         """
         match self.kind:
             case "random":

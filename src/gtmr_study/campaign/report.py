@@ -37,18 +37,7 @@ Value = Callable[[dict[str, Any]], str]
 
 
 def write_campaign_report(folders: Sequence[Path], out_html: Path) -> list[Path]:
-    """Write a report on campaigns, one below the other.
-
-    Returns
-    -------
-    list of pathlib.Path
-        What was written, the HTML file first.
-
-    Raises
-    ------
-    InputError
-        If a folder holds no campaign.
-    """
+    """Write a report on campaigns, one below the other; give its file, then its figures' files."""
     campaigns = [Campaign.read(folder) for folder in folders]
     names = ", ".join(campaign.name for campaign in campaigns)
     body = "\n".join(campaign_section(campaign) for campaign in campaigns)

@@ -41,36 +41,13 @@ def fly_campaign(
     on_progress: OnProgress | None = None,
     own: OwnController | None = None,
 ) -> dict[str, dict[str, Any]]:
-    """Fly what is missing of a campaign, and sum it up.
+    """Fly what is missing of a campaign, and sum it up as `summarise` does.
 
-    Parameters
-    ----------
-    study : Study
-        What to fly.
-    folder : pathlib.Path
-        New, empty, or with a part of the same study; receives study.json, trials.csv as trials
-        are done, and at the end summary.json.
-    n_workers : int, optional
-        Processes on this machine; one per processor if left out.
-    scheduler : str, optional
-        Address of a running Dask scheduler, instead.
-    on_progress : callable, optional
-        Called while flying.
-    own : OwnController, optional
-        Flies instead of the suite's own controllers; nothing but an argument can bring its code.
-
-    Returns
-    -------
-    dict
-        The summary, see `summarise`.
-
-    Raises
-    ------
-    InputError
-        If the folder holds anything else, the scheduler is not there, or an own controller
-        cannot be made.
-    ResultsError
-        If results cannot be written; finished trials are kept.
+    The folder is new, empty, or holds a part of the same study; it receives study.json, trials.csv
+    as trials are done, and at the end summary.json. An own controller flies instead of the
+    suite's. Workers and errors are those of `cluster.workers`; InputError as well if the folder
+    holds anything else or an own controller cannot be made, ResultsError if results cannot be
+    written; finished trials are kept.
     """
     if own is not None:
         own.make(study.controller)

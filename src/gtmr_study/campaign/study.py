@@ -107,13 +107,7 @@ class Study(YamlModel):
         return [(trial, mode) for trial in range(self.n_trials) for mode in self.flown_modes]
 
     def scenario(self, trial: int) -> Scenario:
-        """Make the world of a trial; it is the same for all modes.
-
-        Returns
-        -------
-        Scenario
-            With the trial's own seed and true zeta.
-        """
+        """Make the world of a trial, with its own seed and true zeta: the same for all modes."""
         controller = self.controller
         scenario = Scenario(
             vehicle=controller.vehicle,
@@ -136,13 +130,7 @@ def mode_order(mode: str) -> int:
 
 
 def trial_seed(seed: int, trial: int) -> int:
-    """Seed of one trial's gusts and sampled mismatch.
-
-    Returns
-    -------
-    int
-        32 bits, mixed by NumPy's SeedSequence.
-    """
+    """Seed of one trial's gusts and sampled mismatch: 32 bits, mixed by NumPy's SeedSequence."""
     return int(np.random.SeedSequence([seed, trial]).generate_state(1)[0])
 
 

@@ -36,14 +36,11 @@ LEAST_TRIALS_FOR_SHARES = math.ceil(16.0 / 27.0 * (CONFIDENCE_Z / SHARE_HALF_WID
 def summarise(trials: pd.DataFrame) -> dict[str, dict[str, Any]]:
     """Boil a campaign down to its figures, a mode at a time.
 
-    Returns
-    -------
-    dict
-        By mode: ``trials`` flown, ``errors``, ``violations``, the rate and its 95 % interval, the
-        least clearance of any trial, the residual pooled over all instants of all trials
-        (``residual_m``; its quartiles from the percentiles that every row keeps), the clearance at
-        its median, the root mean square of d_T - d_ref over all instants, and solve times (mean
-        over all steps; medians over the trials of a trial's median and 99th percentile).
+    By mode: ``trials`` flown, ``errors``, ``violations``, the rate and its 95 % interval, the
+    least clearance of any trial, the residual pooled over all instants of all trials
+    (``residual_m``; its quartiles from the percentiles that every row keeps), the clearance at its
+    median, the root mean square of d_T - d_ref over all instants, and solve times (mean over all
+    steps; medians over the trials of a trial's median and 99th percentile).
     """
     return {
         mode: _summary(trials[trials["mode"] == mode])
@@ -87,13 +84,7 @@ def _summary(trials: pd.DataFrame) -> dict[str, Any]:
 
 
 def wilson_interval(events: int, trials: int) -> tuple[float, float]:
-    """Interval that holds the true rate of an event with 95 % confidence (Wilson 1927).
-
-    Returns
-    -------
-    tuple of float
-        Lower and upper bound of the rate; 0 and 1 without trials.
-    """
+    """Bounds of an event's rate with 95 % confidence (Wilson 1927); 0 and 1 without trials."""
     if trials == 0:
         return 0.0, 1.0
     z, rate = CONFIDENCE_Z, events / trials
@@ -112,11 +103,8 @@ def channel_shares(trials: pd.DataFrame) -> pd.DataFrame:
     on one side and away from it on the other. What the shares leave to 1 is interplay of channels,
     and gusts.
 
-    Returns
-    -------
-    pandas.DataFrame
-        By channel that varies, largest share first: ``share`` and its interval of 95 % by the
-        jackknife (Efron 1981), ``low`` and ``high``, all from 0 to 1 [-].
+    By channel that varies, largest first: ``share`` and its 95 % interval by the jackknife (Efron
+    1981), ``low`` and ``high``, all from 0 to 1 [-].
     """
     flown = trials[trials["status"] == FLOWN]
     clearance = flown["min_clearance_m"].to_numpy(float)

@@ -63,10 +63,7 @@ def fly_trials(
 def fly_trial(study: Study, trial: int, mode: str, own: OwnController | None = None) -> Row:
     """Fly one trial in one mode, or with an own controller, whose class ``mode`` then names.
 
-    Returns
-    -------
-    dict
-        A row of trials.csv; if the flight raised, its status is ``error`` and the row says why.
+    The row's status is ``error`` if the flight raised, and the row says why.
     """
     row = empty_row(trial, mode)
     try:

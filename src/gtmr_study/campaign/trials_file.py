@@ -37,24 +37,12 @@ class ResultsError(OSError):
 
 
 def is_campaign(folder: Path) -> bool:
-    """Tell whether a folder holds a campaign.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Need not exist.
-    """
+    """Tell whether a folder, which need not exist, holds a campaign."""
     return (folder / STUDY_FILE).is_file()
 
 
 def read_study(folder: Path) -> Study:
-    """Read what a campaign folder is of.
-
-    Raises
-    ------
-    InputError
-        If the folder holds no campaign, or one that this version cannot read.
-    """
+    """Read what a campaign folder is of; InputError if it is none, or none of this version."""
     path = folder / STUDY_FILE
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -69,18 +57,7 @@ def read_study(folder: Path) -> Study:
 
 
 def read_trials(folder: Path) -> pd.DataFrame:
-    """Read the rows of a campaign.
-
-    Returns
-    -------
-    pandas.DataFrame
-        The columns of trials.csv.
-
-    Raises
-    ------
-    InputError
-        If there are none.
-    """
+    """Read the rows of a campaign, the columns of trials.csv; InputError if there are none."""
     path = folder / TRIALS_FILE
     try:
         table = pd.read_csv(path)
@@ -92,21 +69,9 @@ def read_trials(folder: Path) -> pd.DataFrame:
 
 
 def require_own_or_empty(option: str, folder: Path, study: Study) -> None:
-    """Check that a folder is new, empty, or holds this very campaign; change nothing.
+    """Check that an option's folder is new, empty, or of this very campaign; change nothing.
 
-    Parameters
-    ----------
-    option : str
-        The option that gave the folder, for messages.
-    folder : pathlib.Path
-        Need not exist.
-    study : Study
-        What is to be flown.
-
-    Raises
-    ------
-    InputError
-        If it holds anything else; names what.
+    InputError names what else it holds.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{option} = {folder}: is a file, expected a folder")
@@ -136,18 +101,8 @@ def require_own_or_empty(option: str, folder: Path, study: Study) -> None:
 def open_campaign(option: str, folder: Path, study: Study) -> Iterator[TrialsFile]:
     """Start a campaign's folder, or take up one that was interrupted.
 
-    Yields
-    ------
-    TrialsFile
-        Knows which rows are there already.
-
-    Raises
-    ------
-    InputError
-        If the folder holds anything else, or another process is at work in it; it is then left as
-        it was.
-    ResultsError
-        If the folder cannot be written.
+    InputError if the folder holds anything else, or another process is at work in it; it is then
+    left as it was. ResultsError if the folder cannot be written.
     """
     require_own_or_empty(option, folder, study)
     try:
@@ -170,10 +125,7 @@ def open_campaign(option: str, folder: Path, study: Study) -> Iterator[TrialsFil
 class TrialsFile:
     """The rows of a campaign; each is on its way to the disk before `append` returns.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        trials.csv; a last line that a killed writer left unfinished is cut off.
+    A last line that a killed writer left unfinished is cut off.
     """
 
     def __init__(self, path: Path) -> None:
@@ -185,13 +137,7 @@ class TrialsFile:
             raise ResultsError(f"{path}: cannot be written: {error.strerror}") from None
 
     def append(self, rows: Sequence[Row]) -> None:
-        """Add rows.
-
-        Raises
-        ------
-        ResultsError
-            If the disk is full, for example; what was there before stays.
-        """
+        """Add rows; ResultsError if the disk is full, for example: what was there before stays."""
         text = io.StringIO()
         csv.DictWriter(text, COLUMNS, lineterminator="\n").writerows(rows)
         self._write(text.getvalue())

@@ -222,19 +222,9 @@ def calibrate_command(
 
 
 def with_options(study: Study, **changes: Any) -> Study:
-    """Lay what the command line says over a study.
+    """Lay what the command line says over a study; ConfigError if a value is not allowed.
 
-    Parameters
-    ----------
-    study : Study
-        From a file, or the default.
-    **changes
-        Fields; None keeps what the study says, and so does what a dict leaves out.
-
-    Raises
-    ------
-    ConfigError
-        If a value is not allowed.
+    None keeps what the study says, and so does what a dict leaves out.
     """
     data = study.model_dump()
     for name, value in changes.items():

@@ -34,28 +34,14 @@ _errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
 
 
 def complain(reason: object) -> None:
-    """Say on stderr, in one line, what is wrong.
-
-    Parameters
-    ----------
-    reason : object
-        Printed as it is, after the program's name.
-    """
+    """Say on stderr, in one line, what is wrong."""
     _errors.print(f"gtmr: {reason}")
 
 
 def progress(amount: ProgressColumn | None = None) -> Progress:
     """Make a progress bar that shows on a terminal only, and is gone when the work is done.
 
-    Parameters
-    ----------
-    amount : rich.progress.ProgressColumn, optional
-        How much is done, in figures; percent if left out.
-
-    Returns
-    -------
-    rich.progress.Progress
-        To be used as a context manager.
+    It tells the amount done in percent unless another column is given.
     """
     return Progress(
         TextColumn("{task.description}"),
@@ -71,15 +57,7 @@ def progress(amount: ProgressColumn | None = None) -> Progress:
 def exit_code_of(command: Callable[[], Any]) -> int:
     """Run a command; what it refuses is said in one line.
 
-    Parameters
-    ----------
-    command : callable
-        Returns its exit code, or None for success.
-
-    Returns
-    -------
-    int
-        The command's own, 2 for bad input, or 130 after Ctrl-C.
+    The exit code is the command's own (None is 0), 2 for bad input, or 130 after Ctrl-C.
     """
     try:
         # typer makes an exit code of its own of Ctrl-C in a command.
@@ -98,23 +76,11 @@ def exit_code_of(command: Callable[[], Any]) -> int:
 
 
 def require_choice(option: str, value: str, allowed: Collection[str]) -> None:
-    """Check that a value is one of those there are.
-
-    Raises
-    ------
-    InputError
-        If it is none of them.
-    """
+    """Check that a value is one of those there are; InputError names them if it is not."""
     if value not in allowed:
         raise InputError(f"{option} = {value!r}: allowed is {', '.join(allowed)}")
 
 
 def needs_ros(what: str, error: ModuleNotFoundError) -> InputError:
-    """Make the refusal of what cannot be done without ROS.
-
-    Returns
-    -------
-    InputError
-        To be raised.
-    """
+    """Make the refusal of what cannot be done without ROS."""
     return InputError(f"{what} needs ROS 2, but there is no {error.name}: make setup")

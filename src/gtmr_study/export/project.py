@@ -33,17 +33,8 @@ FILES = ("replay.c", "CMakeLists.txt")
 def export_c(config: ControllerConfig, mode: Mode, folder: Path) -> list[Path]:
     """Write the controller as C99 with all that is needed to build and check it.
 
-    Returns
-    -------
-    list of pathlib.Path
-        The files.
-
-    Raises
-    ------
-    CompileError
-        If there is no C compiler to record the flight with.
-    ConfigError
-        If the margin is not the paper's.
+    CompileError if there is no C compiler to record the flight with, ConfigError if the margin is
+    not the paper's.
     """
     if not isinstance(config.margin, PaperMargin):
         raise ConfigError(f"margin = {config.margin.kind!r}: in C there is the paper's alone")

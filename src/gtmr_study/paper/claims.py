@@ -63,13 +63,10 @@ RESIDUAL_TOLERANCE_M = 0.02
 
 
 def deviations(summary: dict[str, Any], mode: Mode) -> dict[str, float]:
-    """Compare a mode's figures with the paper's, in units of the tolerances.
+    """Compare a mode's figures with the paper's: ours minus theirs, over the tolerances [-].
 
-    Returns
-    -------
-    dict
-        Ours minus the paper's, over the tolerance [-]: share of violating trials, least clearance,
-        whiskers and quartiles of the residual. Infinite if no trial flew.
+    Share of violating trials, least clearance, whiskers and quartiles of the residual. Infinite if
+    no trial flew.
     """
     row = PAPER[mode]
     if not summary["trials"]:
@@ -87,12 +84,6 @@ def deviations(summary: dict[str, Any], mode: Mode) -> dict[str, float]:
 
 
 def distance(summary: dict[str, dict[str, Any]], modes: tuple[Mode, ...]) -> float:
-    """Root mean square of the deviations of some rows.
-
-    Returns
-    -------
-    float
-        0 if all figures are the paper's; 1 if they are off by their tolerances on average [-].
-    """
+    """Root mean square of the deviations of some rows [-]; 0 if all figures are the paper's."""
     squares = [d**2 for mode in modes for d in deviations(summary[mode], mode).values()]
     return math.sqrt(sum(squares) / len(squares))

@@ -244,13 +244,9 @@ def _fly_command(study: Study) -> str:
 
 
 def claims_markdown(found: dict[str, Sequence[Claim]]) -> str:
-    """Write a table of claims.
+    """Write a table of the same claims as found with one controller or with several, by its name.
 
-    Parameters
-    ----------
-    found : dict
-        The same claims as found with one controller or with several, by the controller's name;
-        the commands are those of the first.
+    The commands are those of the first.
     """
     several = len(found) > 1
     verdicts = [f"verdict, {name}" if several else "verdict" for name in found]

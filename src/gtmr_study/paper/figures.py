@@ -28,13 +28,7 @@ TABLE_II_HEADS = ("controller", "least clearance", "trials with violation", "ave
 
 
 def table_ii_rows(summary: dict[str, Any]) -> list[tuple[str, str, str, str]]:
-    """Table II: the paper's rows and ours, as text.
-
-    Returns
-    -------
-    list of (str, str, str, str)
-        Under `TABLE_II_HEADS`.
-    """
+    """Table II: the paper's rows and ours, as text under `TABLE_II_HEADS`."""
     rows = []
     for mode, paper in PAPER.items():
         ours = summary[mode]

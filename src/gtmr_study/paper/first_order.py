@@ -68,13 +68,7 @@ class Perturbations:
         )
 
     def ratio(self, part: str) -> Array:
-        """Size of a change over the margin that should bound it.
-
-        Returns
-        -------
-        NDArray, shape (n, N)
-            [-], for stages 1 to N; above 1 the margin is exceeded.
-        """
+        """Size of a change over its margin [-], shape (n, N), stages 1 to N; exceeded above 1."""
         change: Array = getattr(self, part)
         bound = {"parametric": self.alpha_p, "gust": self.alpha_g}.get(
             part, self.alpha_p + self.alpha_g
@@ -103,12 +97,7 @@ class _Recorder:
 def perturbations(study: Study, trials: Sequence[int]) -> Perturbations:
     """Fly trials with the robust controller and try its plans open loop.
 
-    Parameters
-    ----------
-    study : Study
-        The campaign; its duration must be longer than two horizons.
-    trials : sequence of int
-        Numbers of trials.
+    The study's duration must be longer than two horizons.
     """
     return Perturbations.join([_of_trial(study, trial) for trial in trials])
 
@@ -181,15 +170,11 @@ def _step(vehicle: Vehicle, period_s: float) -> ca.Function:
 
 
 def quality(found: Perturbations) -> dict[str, Any]:
-    """Boil perturbations down to figures by stage.
+    """Boil perturbations down to figures by stage, 1 to N [-].
 
-    Returns
-    -------
-    dict
-        ``plans``; for ``parametric``, ``gust`` and ``both``: ``exceeded`` (share of plans whose
-        change is larger than the margin, by stage 1 to N), ``median`` and ``p99`` and ``max`` of
-        the ratio change / margin by stage; ``worst_parametric`` and ``worst_gust``: median, least
-        and largest ratio in the worst case by stage; all [-].
+    ``plans``; for ``parametric``, ``gust`` and ``both``: ``exceeded``, the share of plans whose
+    change is larger than the margin, and ``median``, ``p99`` and ``max`` of change / margin; for
+    ``worst_parametric`` and ``worst_gust``: median, least and largest ratio in the worst case.
     """
     result: dict[str, Any] = {"plans": len(found.parametric)}
     for part in PARTS:

@@ -24,12 +24,9 @@ HELIX_SPEEDS_M_S = (0.2, 0.5, 1.0, 1.5, 2.0)
 
 
 def margin_budget(config: ControllerConfig) -> dict[str, float]:
-    """Parts of the tightening at the last stage, averaged over a turn around the tower.
+    """Parts of the tightening at the last stage, averaged over a turn around the tower [m].
 
-    Returns
-    -------
-    dict
-        By channel of zeta, then ``eps_s``, ``gust`` and ``total`` [m].
+    By channel of zeta, then ``eps_s``, ``gust`` and ``total``.
     """
     plans = _plans_of_a_turn(config)
     by_channel = np.mean([plan.alpha_p_by_channel[-1] for plan in plans], axis=0)
@@ -39,13 +36,7 @@ def margin_budget(config: ControllerConfig) -> dict[str, float]:
 
 
 def alpha_by_helix_speed(config: ControllerConfig) -> list[dict[str, float]]:
-    """Size of the tightening at the last stage against the speed of the helix.
-
-    Returns
-    -------
-    list of dict
-        ``speed_m_s`` and ``alpha_n_m``, the mean over a turn around the tower.
-    """
+    """List ``alpha_n_m``, the last stage's tightening averaged over a turn, by ``speed_m_s``."""
     rows = []
     for speed_m_s in HELIX_SPEEDS_M_S:
         helix = config.helix.model_copy(update={"speed_m_s": speed_m_s})
@@ -57,11 +48,8 @@ def alpha_by_helix_speed(config: ControllerConfig) -> list[dict[str, float]]:
 def hoelder_ratio(config: ControllerConfig) -> float:
     """Compare Hoelder's bound with the parametric margin that the paper uses instead, eq. (12).
 
-    Returns
-    -------
-    float
-        ||Pi_y||_inf ||w||_1 over sum_j |Pi_y,j| w_j at the last stage, the least over a turn
-        around the tower [-].
+    ||Pi_y||_inf ||w||_1 over sum_j |Pi_y,j| w_j at the last stage, the least over a turn around
+    the tower [-].
     """
     half_widths = config.uncertainty.half_widths
     parts = np.array([plan.alpha_p_by_channel[-1] for plan in _plans_of_a_turn(config)])
@@ -91,13 +79,7 @@ def _plans_of_a_turn(config: ControllerConfig) -> list[Solution]:
 
 
 def unit_slips(config: ControllerConfig) -> dict[str, ControllerConfig]:
-    """Make the controllers that slips of units would give.
-
-    Returns
-    -------
-    dict
-        By what was taken for what, without ``config`` itself.
-    """
+    """Make the controllers that slips of units would give, by what was taken for what."""
     mass, box = config.vehicle.mass_kg, config.uncertainty
 
     def with_box(**changes: Any) -> ControllerConfig:

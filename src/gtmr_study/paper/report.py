@@ -45,21 +45,7 @@ def write_page(
     results: dict[str, Any],
     drawn: dict[str, Callable[[], Any]],
 ) -> None:
-    """Write the page.
-
-    Parameters
-    ----------
-    out_html : pathlib.Path
-        The file.
-    campaign : Campaign
-        The paper's campaign, flown here.
-    claims : sequence of Claim
-        What became of the paper's claims.
-    results : dict
-        Content of reproduction.json, see `reproduce`.
-    drawn : dict
-        How every figure of the paper is drawn, by name.
-    """
+    """Write the page: claims, figures of the paper by name, and the campaign that was flown."""
     figures = "\n".join(
         f'<figure id="{name}">{inline_svg(draw)}</figure>\n<p>{_CAPTIONS[name]}</p>'
         for name, draw in drawn.items()
@@ -101,10 +87,7 @@ def one_value_at_a_time(results: dict[str, Any]) -> Table:
 def size_of_the_tightening(results: dict[str, Any]) -> Table:
     """Lay out the parts of the margin, and how close robust flights come with it.
 
-    Returns
-    -------
-    list of list of str
-        One row for every reading of the paper, and for every eps_s.
+    One row for every reading of the paper, and for every eps_s.
     """
     parts = [*CHANNELS, "eps_s", "gust", "total"]
     labels = [{**look.MARGIN_LABELS, "total": "α_N"}[part] for part in parts]

@@ -82,34 +82,11 @@ def reproduce(
 ) -> dict[str, Any]:
     """Fly everything and write the results, or go on where it was interrupted.
 
-    Parameters
-    ----------
-    base : Study
-        Controller, uncertainty, gusts and seed.
-    effort : Effort
-        How much is flown.
-    folder : pathlib.Path
-        New, empty, or of the same reproduction; it is also the folder of the campaign.
-    n_workers, scheduler
-        Where, see `cluster.workers`.
-    on_progress : callable, optional
-        Called while flying.
-    command : str
-        What the user called, for the table of claims.
-
-    Returns
-    -------
-    dict
-        Content of reproduction.json: ``command``, ``summary``, ``paper``, ``deviations``,
-        ``distance``, ``fig_1``, ``calm``, ``first_order``, ``hoelder_ratio``,
-        ``alpha_by_helix_speed`` and ``variants``.
-
-    Raises
-    ------
-    InputError
-        If the folder holds anything else, or the scheduler is not there.
-    ResultsError
-        If results cannot be written; finished trials are kept.
+    The folder, which is also that of the campaign, workers and errors are as for `fly_campaign`;
+    ``command`` is what the user called, for the table of claims. Returns the content of
+    reproduction.json: ``command``, ``summary``, ``paper``, ``deviations``, ``distance``,
+    ``fig_1``, ``calm``, ``first_order``, ``hoelder_ratio``, ``alpha_by_helix_speed`` and
+    ``variants``.
     """
     tell = on_progress if on_progress is not None else lambda what, done, total: None
     study = base.model_copy(

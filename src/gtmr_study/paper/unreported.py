@@ -66,20 +66,7 @@ UNREPORTED: dict[str, Unreported] = {
 
 
 def with_values(values: dict[str, float], base: Study) -> Study:
-    """Put values that the paper leaves out into a study.
-
-    Parameters
-    ----------
-    values : dict
-        By the names of `UNREPORTED`; what is missing stays as it is.
-    base : Study
-        All else.
-
-    Raises
-    ------
-    ConfigError
-        If a value is not allowed.
-    """
+    """Put values by the names of `UNREPORTED` into a study; ConfigError if one is not allowed."""
     config, gust = base.controller, base.gust
     weights = _named(values, rotor_acceleration="rotor_acceleration_weight")
     if "attitude_weight" in values:
@@ -103,13 +90,7 @@ def with_values(values: dict[str, float], base: Study) -> Study:
 
 
 def values_of(study: Study) -> dict[str, float]:
-    """Read the values that the paper leaves out off a study.
-
-    Returns
-    -------
-    dict
-        By the names of `UNREPORTED`.
-    """
+    """Read the values that the paper leaves out off a study, by the names of `UNREPORTED`."""
     config = study.controller
     return {
         "rotor_acceleration_weight": config.weights.rotor_acceleration,

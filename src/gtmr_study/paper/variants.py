@@ -48,22 +48,10 @@ class Variant:
 
 
 def variants(study: Study, trials: int, duration_s: float) -> list[Variant]:
-    """Change one thing at a time.
+    """Change one thing at a time; mismatch and gusts of a trial are the same in every variant.
 
-    Parameters
-    ----------
-    study : Study
-        All else; mismatch and gusts of a trial are the same in every variant.
-    trials : int
-        Trials of each.
-    duration_s : float
-        Length of their flights [s].
-
-    Returns
-    -------
-    list of Variant
-        First the one as it is, then other readings of the paper's formulas and bounds, then every
-        value of `UNREPORTED` that the study does not have already.
+    First the one as it is, then other readings of the paper's formulas and bounds, then every
+    value of `UNREPORTED` that the study does not have already.
     """
     base = study.model_copy(
         update={
@@ -94,18 +82,9 @@ def fly_variants(
 ) -> list[dict[str, Any]]:
     """Fly what is missing of variants, each a campaign in a folder of its own in ``folder``.
 
-    Returns
-    -------
-    list of dict
-        ``name``, ``parameter``, ``margins_m`` (see `margin_budget`), ``summary`` (see
-        `summarise`) and ``distance`` to the paper's ``nominal`` rows and to ``both``.
-
-    Raises
-    ------
-    InputError
-        If a folder holds anything else.
-    ResultsError
-        If results cannot be written; finished trials are kept.
+    A row has ``name``, ``parameter``, ``margins_m`` (see `margin_budget`), ``summary`` (see
+    `summarise`) and ``distance`` to the paper's ``nominal`` rows and to ``both``. Errors are those
+    of `open_campaign`.
     """
     rows = []
     for k, variant in enumerate(made):

@@ -96,11 +96,8 @@ class Situation:
 def record_situations(steps: int) -> list[Situation]:
     """Fly what the contenders are timed on.
 
-    Returns
-    -------
-    list of Situation
-        Calm flight; wind with gusts towards the tower, where the tightened clearance is active
-        much of the time; starts from far off, where rotor limits and slacks are.
+    Calm flight; wind with gusts towards the tower, where the tightened clearance is active much of
+    the time; starts from far off, where rotor limits and slacks are.
     """
     windy = Scenario(zeta=WIND_BIAS, gust=GustConfig(kind="worst-case"))
     return [
@@ -141,11 +138,8 @@ def time_controller(
 ) -> dict[str, dict[str, float]]:
     """Time the controller on a situation.
 
-    Returns
-    -------
-    dict
-        Median, p99, p99.9 and maximum [ms] of ``prepare``, ``feedback`` and ``step``, the last
-        being the whole call from Python.
+    Median, p99, p99.9 and maximum [ms] of ``prepare``, ``feedback`` and ``step``, the last being
+    the whole call from Python.
     """
     controller = Controller(ControllerConfig(tightening=tightening), mode)
     timings: dict[str, list[float]] = {"prepare": [], "feedback": [], "step": []}
@@ -161,11 +155,8 @@ def time_controller(
 def time_rivals(situation: Situation, steps: int, rivals: Rivals) -> dict[str, dict[str, float]]:
     """Time general solvers, and the nominal controller beside them, on the same steps.
 
-    Returns
-    -------
-    dict
-        By contender: median, p99, p99.9 and maximum of a step [ms], ``ratio`` of its median to
-        the controller's, and ``cost_gap``, the median of |cost - cost of IPOPT| / cost of IPOPT.
+    By contender: median, p99, p99.9 and maximum of a step [ms], ``ratio`` of its median to the
+    controller's, and ``cost_gap``, the median of |cost - cost of IPOPT| / cost of IPOPT.
     """
     config = ControllerConfig()
     first = Situation(situation.name, situation.steps[:steps])

@@ -27,10 +27,7 @@ Array = NDArray[np.float64]
 class DoMpcRival:
     """Eq. (5) in do-mpc with IPOPT; the clearance is its soft constraint, with L1 penalty only.
 
-    Raises
-    ------
-    ModuleNotFoundError
-        If do-mpc is not installed.
+    ModuleNotFoundError if do-mpc is not installed.
     """
 
     def __init__(self, config: ControllerConfig) -> None:

@@ -54,18 +54,9 @@ class NlpSolution:
 class InspectionNlp:
     """Eq. (5) with given margins, or eq. (15) itself, with the clearance softened exactly.
 
-    Parameters
-    ----------
-    config : ControllerConfig
-        The problem.
-    solver : str
-        A CasADi NLP solver, for example ``ipopt`` or ``sqpmethod``.
-    options : dict
-        Options of the solver.
-    margins_given : bool
-        Whether the margins are data (held at given values) or eq. (12) in terms of the plan.
-    condensed : bool
-        Whether the states are eliminated (single shooting), as dense QP solvers want it.
+    ``solver`` and ``options`` are those of a CasADi NLP solver, for example ``ipopt``. Margins are
+    data (held at given values) or eq. (12) in terms of the plan. ``condensed`` eliminates the
+    states (single shooting), as dense QP solvers want it.
     """
 
     def __init__(
@@ -109,23 +100,11 @@ class InspectionNlp:
     def solve(
         self, t: float, x0: Array, alpha: Array | None, guess: NlpSolution | None
     ) -> NlpSolution:
-        """Solve for one measured state.
+        """Solve at time t [s] for a measured state, shape (12 + N_p,), its yaw near the helix's.
 
-        Parameters
-        ----------
-        t : float
-            Time of stage 0 [s].
-        x0 : NDArray, shape (12 + N_p,)
-            Measured state; its yaw near the helix's.
-        alpha : NDArray, shape (N + 1,), or None
-            Margins [m]; None where they are terms of the plan.
-        guess : NlpSolution or None
-            Where to start; None for the state held over the horizon.
-
-        Raises
-        ------
-        RuntimeError
-            If the solver says that it failed, other than by its iteration limit.
+        ``alpha``: margins [m], shape (N + 1,); None where they are terms of the plan. ``guess``:
+        where to start; None for the state held over the horizon. RuntimeError if the solver says
+        that it failed, other than by its iteration limit.
         """
         vehicle, n = self.config.vehicle, self.config.horizon
         reference = references(self.config, t)
