@@ -41,32 +41,21 @@ DASHES: tuple[Dash, ...] = ("solid", "dash", "dot")
 
 # Tol's muted palette for the nine channels of zeta, then two greys; no two neighbours in the
 # stack are close in hue and lightness.
-MARGIN_COLOURS = {
-    "mass": "#332288",
-    "J_x": "#DDCC77",
-    "J_y": "#999933",
-    "J_z": "#882255",
-    "thrust": "#44AA99",
-    "drag": "#AA4499",
-    "w_bx": "#88CCEE",
-    "w_by": "#CC6677",
-    "w_bz": "#117733",
-    "eps_s": "#1a1a1a",
-    "gust": "#bdbdbd",
+_MARGINS = {
+    "mass": ("mass", "#332288"),
+    "J_x": ("inertia x", "#DDCC77"),
+    "J_y": ("inertia y", "#999933"),
+    "J_z": ("inertia z", "#882255"),
+    "thrust": ("thrust", "#44AA99"),
+    "drag": ("drag", "#AA4499"),
+    "w_bx": ("wind bias x", "#88CCEE"),
+    "w_by": ("wind bias y", "#CC6677"),
+    "w_bz": ("wind bias z", "#117733"),
+    "eps_s": ("slack term ε", "#1a1a1a"),
+    "gust": ("gust", "#bdbdbd"),
 }
-MARGIN_LABELS = {
-    "mass": "mass",
-    "J_x": "inertia x",
-    "J_y": "inertia y",
-    "J_z": "inertia z",
-    "thrust": "thrust",
-    "drag": "drag",
-    "w_bx": "wind bias x",
-    "w_by": "wind bias y",
-    "w_bz": "wind bias z",
-    "eps_s": "slack term ε",
-    "gust": "gust",
-}
+MARGIN_LABELS = {name: label for name, (label, _) in _MARGINS.items()}
+MARGIN_COLOURS = {name: colour for name, (_, colour) in _MARGINS.items()}
 
 _ROTOR_COLOURS = (
     "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#332288", "#999933"
@@ -85,6 +74,10 @@ class Line:
     """By its number among the flights of its mode."""
 
 
+Flown = Sequence[tuple[Flight, Line]]
+"""What every figure is drawn from."""
+
+
 def lines(flights: Sequence[Flight]) -> list[Line]:
     """Give every flight its label, colour and dash; a mode flown once is its own label."""
     seen: dict[str, int] = {}
@@ -94,15 +87,9 @@ def lines(flights: Sequence[Flight]) -> list[Line]:
         number = seen.setdefault(mode, 0)
         seen[mode] += 1
         alone = modes.count(mode) == 1 and flight.mode != "unknown"
-        result.append(
-            Line(
-                label=mode if alone else f"{mode} ({flight.name})",
-                colour=REPLAYED_COLOUR
-                if flight.replayed
-                else MODE_COLOURS.get(mode, OTHER_COLOUR),
-                dash=DASHES[number % len(DASHES)],
-            )
-        )
+        label = mode if alone else f"{mode} ({flight.name})"
+        colour = REPLAYED_COLOUR if flight.replayed else MODE_COLOURS.get(mode, OTHER_COLOUR)
+        result.append(Line(label, colour, DASHES[number % len(DASHES)]))
     return result
 
 
@@ -130,14 +117,14 @@ def solve_time_bins(flights: Sequence[Flight]) -> NDArray[np.float64]:
     return edges
 
 
-def tightened(flown: Sequence[tuple[Flight, Line]]) -> list[tuple[Flight, Line]]:
+def tightened(flown: Flown) -> Flown:
     """Pick the flights in which the clearance constraint was tightened."""
     return [(flight, line) for flight, line in flown if flight.margins.total.any()]
 
 
-def moved(flown: Sequence[tuple[Flight, Line]]) -> list[tuple[Flight, Line]]:
+def moved(flown: Flown) -> Flown:
     """Pick those that were flown, or else all: the motion of a replayed one is another's."""
-    return [(flight, line) for flight, line in flown if not flight.replayed] or list(flown)
+    return [(flight, line) for flight, line in flown if not flight.replayed] or flown
 
 
 def residual_range(flights: Sequence[Flight]) -> tuple[float, float]:

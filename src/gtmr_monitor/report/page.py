@@ -23,7 +23,7 @@ from gtmr_monitor.bag.format import BagError
 from gtmr_monitor.flight import Flight
 from gtmr_monitor.report.browser import CHARTS
 from gtmr_monitor.report.html import page, signed, table
-from gtmr_monitor.report.look import Line, lines
+from gtmr_monitor.report.look import Flown, lines
 from gtmr_monitor.report.paper import write_figures
 
 CAPTIONS = {
@@ -59,8 +59,8 @@ CAPTIONS = {
 # Plotly offers by default to upload a chart to its makers; a report stays where it is.
 _PLOTLY_CONFIG = {"displaylogo": False, "responsive": True, "showSendToCloud": False}
 
-Flown = Sequence[tuple[Flight, Line]]
-Value = Callable[[Flight], str]
+Value = Callable[[Flight], str | None]
+"""A cell in HTML; None where that was not recorded."""
 Row = tuple[str, Value]
 
 
@@ -87,6 +87,7 @@ def write_report(flights: Sequence[Flight], out_html: str | Path) -> list[Path]:
 def _page(flown: Flown) -> str:
     modes = " and ".join(line.label for _, line in flown)
     sections = "\n".join(_section(name, flown) for name in CHARTS)
+    foreseen = any(flight.predictions is not None for flight, _ in flown)
     warnings = "".join(
         f'<p class="warning">{escape(line.label)}: the bag has no end, because its recorder was '
         "killed; what it had written is shown.</p>"
@@ -108,17 +109,12 @@ def _page(flown: Flown) -> str:
     body = f"""{warnings}
 <div class="tables">
 <section><h2>Summary</h2>
-{_table(flown, _summary_rows(flown))}</section>
+{_table(flown, (*_SUMMARY, *_COMPARISON) if foreseen else _SUMMARY)}</section>
 <section><h2>Flight conditions</h2>
 {_table(flown, _CONDITIONS)}</section>
 </div>
 {sections}"""
     return page(f"Tower inspection: {modes}", body, get_plotlyjs())
-
-
-def _summary_rows(flown: Flown) -> Sequence[Row]:
-    foreseen = any(flight.predictions is not None for flight, _ in flown)
-    return (*_SUMMARY, *_COMPARISON) if foreseen else _SUMMARY
 
 
 def _section(name: str, flown: Flown) -> str:
@@ -131,7 +127,9 @@ def _section(name: str, flown: Flown) -> str:
 
 def _table(flown: Flown, rows: Sequence[Row]) -> str:
     heads = [(line.label, line.colour) for _, line in flown]
-    return table(heads, [(name, [value(flight) for flight, _ in flown]) for name, value in rows])
+    cells = [(name, [value(flight) for flight, _ in flown]) for name, value in rows]
+    told = [(name, ["not recorded" if c is None else c for c in row]) for name, row in cells]
+    return table(heads, told)
 
 
 def _violated(flight: Flight) -> str:
@@ -142,57 +140,32 @@ def _violated(flight: Flight) -> str:
 
 
 def _solve(key: Literal["median", "p99", "max"]) -> Value:
-    def value(flight: Flight) -> str:
-        statistics = flight.solve_statistics
-        return "not recorded" if statistics is None else f"{statistics[key]:.2f}"
-
-    return value
+    return lambda f: f"{f.solve_statistics[key]:.2f}" if f.solve_statistics else None
 
 
 def _quartile(key: Literal["min", "q1", "median", "q3", "max"]) -> Value:
     return lambda flight: signed(flight.residual_statistics["residual_m"][key])
 
 
-def _misses(flight: Flight) -> str:
-    if flight.deadline_misses is None:
-        return "not recorded"
-    return f"{flight.deadline_misses} of {flight.solve_ms.size}"
+def _softened(flight: Flight) -> str | None:
+    steps = flight.margins.t.size
+    used = int((flight.margins.slack.max(axis=1, initial=0.0) > 1e-6).sum())
+    return f"{used} of {steps}" if steps else None
 
 
-def _softened(flight: Flight) -> str:
-    if not flight.margins.t.size:
-        return "not recorded"
-    used = int((flight.margins.slack.max(axis=1) > 1e-6).sum())
-    return f"{used} of {flight.margins.t.size}"
-
-
-def _foreseen(flight: Flight) -> str:
+def _foreseen(flight: Flight) -> str | None:
     if flight.predictions is None or not flight.predictions.t.size:
-        return "not recorded"
+        return None
     return signed(float(flight.predictions.residual.max()))
 
 
-def _largest_margin(flight: Flight) -> str:
-    return f"{flight.margins.total.max():.3f}" if flight.margins.t.size else "not recorded"
-
-
-def _channel(index: int) -> Value:
-    def value(flight: Flight) -> str:
+def _channel(index: int, unit: str, scale: float, places: int) -> Value:
+    def value(flight: Flight) -> str | None:
         if flight.zeta is None:
-            return "not recorded"
-        number = flight.zeta[index]
-        text = f"{number:.2f} N" if CHANNELS[index].startswith("w_b") else f"{100 * number:.1f} %"
-        return text.replace("-", "−")
+            return None
+        return f"{scale * flight.zeta[index]:.{places}f} {unit}".replace("-", "−")
 
     return value
-
-
-def _optional(value: object) -> str:
-    return "not recorded" if value is None else escape(str(value))
-
-
-def _deadline(flight: Flight) -> str:
-    return "not recorded" if math.isnan(flight.deadline_ms) else f"{flight.deadline_ms:g} ms"
 
 
 _SUMMARY: tuple[Row, ...] = (
@@ -210,25 +183,31 @@ _SUMMARY: tuple[Row, ...] = (
     ("solve time, median [ms]", _solve("median")),
     ("99th percentile [ms]", _solve("p99")),
     ("maximum [ms]", _solve("max")),
-    ("deadline misses", _misses),
+    (
+        "deadline misses",
+        lambda f: None if (n := f.deadline_misses) is None else f"{n} of {f.solve_ms.size}",
+    ),
     ("steps with slack", _softened),
 )
 _COMPARISON: tuple[Row, ...] = (
     ("residual foreseen at the end of plans, maximum [m]", _foreseen),
-    ("largest margin [m]", _largest_margin),
+    (
+        "largest margin [m]",
+        lambda f: f"{f.margins.total.max():.3f}" if f.margins.t.size else None,
+    ),
 )
 _CONDITIONS: tuple[Row, ...] = (
     ("duration", lambda f: f"{f.duration_s:.1f} s"),
     ("tower radius", lambda f: f"{f.tower.radius_m:g} m"),
     ("least clearance d<sub>min</sub>", lambda f: f"{f.tower.min_clearance_m:g} m"),
     ("reference clearance", lambda f: f"{f.helix.offset_m:g} m"),
-    ("sampling time", _deadline),
-    *((f"true mismatch, {name}", _channel(j)) for j, name in enumerate(CHANNELS[:6])),
+    ("sampling time", lambda f: None if math.isnan(f.deadline_ms) else f"{f.deadline_ms:g} ms"),
+    *((f"true mismatch, {name}", _channel(j, "%", 100, 1)) for j, name in enumerate(CHANNELS[:6])),
     *(
-        (f"true wind bias, {axis}", _channel(j))
+        (f"true wind bias, {axis}", _channel(j, "N", 1, 2))
         for j, axis in ((6, "x, east"), (7, "y, north"), (8, "z, up"))
     ),
-    ("gusts", lambda f: _optional(f.gust)),
-    ("seed", lambda f: _optional(f.seed)),
+    ("gusts", lambda f: None if f.gust is None else escape(str(f.gust))),
+    ("seed", lambda f: None if f.seed is None else str(f.seed)),
     ("bag", lambda f: f"<code>{escape(f.source.name)}</code>"),
 )
