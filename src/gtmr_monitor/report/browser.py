@@ -10,18 +10,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from gtmr_monitor.flight import Flight
 from gtmr_monitor.report import look
-from gtmr_monitor.report.look import Line
-
-Flown = Sequence[tuple[Flight, Line]]
+from gtmr_monitor.report.look import Flown, Line
 
 _FONT = {"family": "system-ui, 'Segoe UI', 'Helvetica Neue', Arial, sans-serif", "size": 13}
 _TOP_PX, _BOTTOM_PX = 60, 60
@@ -30,43 +27,30 @@ _LIMIT = {"color": look.LIMIT, "dash": "dash", "width": 1.5}
 
 
 def trajectory(flown: Flown) -> go.Figure:
-    """Draw the flights round the tower in space."""
+    """Draw the flights around the tower in space."""
     flown = look.moved(flown)
     first = flown[0][0]
-    heights = np.concatenate([flight.p[:, 2] for flight, _ in flown])
-    height = np.array([heights.min() - 0.15, heights.max() + 0.15])
-    angle = np.linspace(0.0, 2.0 * np.pi, 73)
+    height, reference = look.heights(flown), look.reference(flown)
     figure = go.Figure()
     for radius, colour, opacity, name in (
         (first.tower.radius_m, look.TOWER, 0.9, "tower"),
         (first.tower.radius_m + first.tower.min_clearance_m, look.LIMIT, 0.1, "least clearance"),
     ):
+        x, y, z = look.cylinder(radius, height)
         figure.add_surface(
-            x=radius * np.cos(angle)[None].repeat(2, 0),
-            y=radius * np.sin(angle)[None].repeat(2, 0),
-            z=height[:, None].repeat(angle.size, 1),
-            colorscale=[[0.0, colour], [1.0, colour]],
-            opacity=opacity,
-            showscale=False,
-            showlegend=True,
-            name=name,
-            hoverinfo="skip",
-        )
-    duration = max(flight.duration_s for flight, _ in flown)
-    reference = first.helix.at(np.linspace(0.0, duration, 600), first.tower).position
+            x=x, y=y, z=z, colorscale=[[0.0, colour], [1.0, colour]], opacity=opacity,
+            showscale=False, showlegend=True, name=name, hoverinfo="skip",
+        )  # fmt: skip
     pen = {"color": look.QUIET, "width": 2, "dash": "dot"}
     figure.add_scatter3d(
         **_xyz(reference), mode="lines", line=pen, name="reference", hoverinfo="skip"
     )
     for flight, line in flown:
         figure.add_scatter3d(
-            **_xyz(flight.p),
-            mode="lines",
-            line={"color": line.colour, "width": 5, "dash": line.dash},
-            name=line.label,
+            **_xyz(flight.p), mode="lines", line=_pen(line, width=5), name=line.label,
             customdata=np.column_stack([flight.t, flight.clearance]),
             hovertemplate="%{customdata[0]:.2f} s, clearance %{customdata[1]:.3f} m",
-        )
+        )  # fmt: skip
     wide, tall = 2.0 * np.abs(reference[:, :2]).max(), height[1] - height[0]
     figure.update_scenes(
         xaxis_title="x, east [m]",
@@ -85,10 +69,9 @@ def residual(flown: Flown) -> go.Figure:
         1, 2, column_widths=[0.76, 0.24], shared_yaxes=True, horizontal_spacing=0.04
     )
     for flight, line in look.moved(flown):
-        figure.add_scatter(
-            x=flight.t, y=flight.residual, mode="lines", name=line.label, line=_pen(line),
-            legendgroup=line.label, hovertemplate="%{y:.3f} m", row=1, col=1,
-        )  # fmt: skip
+        _curve(
+            figure, flight.t, flight.residual, line.label, _pen(line), ".3f} m", showlegend=None
+        )
         quartiles = flight.residual_statistics["residual_m"]
         figure.add_box(
             x=[line.label], lowerfence=[quartiles["min"]], q1=[quartiles["q1"]],
@@ -97,15 +80,13 @@ def residual(flown: Flown) -> go.Figure:
             marker_color=line.colour, line_width=1.5, row=1, col=2,
         )  # fmt: skip
         for at, mode in flight.modes[1:]:
-            figure.add_vline(
-                x=at, line=_pen(line) | {"dash": "dot"}, annotation_text=mode, row=1, col=1
-            )
+            figure.add_vline(x=at, line=_pen(line, dash="dot"), annotation_text=mode, row=1, col=1)
     for flight, line in flown:
-        if flight.predictions is not None:
-            figure.add_scatter(
-                x=flight.predictions.t, y=flight.predictions.residual, mode="lines",
-                name=f"{line.label}, foreseen", line=_pen(line) | {"dash": "dot", "width": 1.2},
-                hovertemplate="%{y:.3f} m", row=1, col=1,
+        if (foreseen := flight.predictions) is not None:
+            name, pen = f"{line.label}, foreseen", _pen(line, dash="dot", width=1.2)
+            _curve(
+                figure, foreseen.t, foreseen.residual, name, pen, ".3f} m", showlegend=None,
+                legendgroup=None,
             )  # fmt: skip
     figure.add_hline(y=0.0, line=_LIMIT, row=1, col="all")
     figure.add_annotation(
@@ -142,13 +123,10 @@ def margins(flown: Flown) -> go.Figure:
                 (np.arange(part.shape[1]), 1e3 * part[active].mean(axis=0)),
             ]
             for column, (x, y) in enumerate(columns, start=1):
-                figure.add_scatter(
-                    x=x, y=y, mode="lines", stackgroup=f"{row}-{column}",
-                    name=look.MARGIN_LABELS[name],
-                    line={"width": 0, "color": look.MARGIN_COLOURS[name]},
-                    fillcolor=look.MARGIN_COLOURS[name], legendgroup=name,
-                    showlegend=row == column == 1, hovertemplate="%{y:.1f} mm",
-                    row=row, col=column,
+                pen = {"width": 0, "color": look.MARGIN_COLOURS[name]}
+                _curve(
+                    figure, x, y, look.MARGIN_LABELS[name], pen, ".1f} mm", row, column,
+                    stackgroup=f"{row}-{column}", fillcolor=pen["color"], legendgroup=name,
                 )  # fmt: skip
         figure.update_xaxes(title_text="time [s]", row=row, col=1)
         figure.update_xaxes(title_text="stage i", row=row, col=2)
@@ -204,12 +182,9 @@ def rotors(flown: Flown) -> go.Figure:
         for rotor, speed in enumerate(flight.rotor_speed_hz.T):
             # Opposite rotors often turn alike: the second must not hide the first.
             dash = "solid" if rotor < n_rotors / 2 else "dash"
-            figure.add_scatter(
-                x=flight.t_rotors, y=speed, mode="lines", name=f"rotor {rotor}",
-                line={"color": look.rotor_colour(rotor), "width": 1.4, "dash": dash},
-                legendgroup=str(rotor), showlegend=row == 1, hovertemplate="%{y:.1f} Hz",
-                row=row, col=1,
-            )  # fmt: skip
+            pen = {"color": look.rotor_colour(rotor), "width": 1.4, "dash": dash}
+            name, group = f"rotor {rotor}", str(rotor)
+            _curve(figure, flight.t_rotors, speed, name, pen, ".1f} Hz", row, legendgroup=group)
         figure.update_yaxes(title_text="rotor speed [Hz]", row=row, col=1)
     figure.update_xaxes(title_text="time [s]", row=len(flown), col=1)
     figure.update_layout(hovermode="x unified")
@@ -221,27 +196,16 @@ def attitude(flown: Flown) -> go.Figure:
     flown = look.moved(flown)
     figure = make_subplots(3, 1, shared_xaxes=True, vertical_spacing=0.05)
     for flight, line in flown:
-        angles = np.degrees(np.column_stack([flight.eta[:, :2], flight.heading_error]))
-        for row in (1, 2, 3):
-            figure.add_scatter(
-                x=flight.t, y=angles[:, row - 1], mode="lines", name=line.label, line=_pen(line),
-                legendgroup=line.label, showlegend=row == 1, hovertemplate="%{y:.2f} deg",
-                row=row, col=1,
-            )  # fmt: skip
-    for row, name in enumerate(("roll", "pitch", "heading error"), start=1):
-        figure.update_yaxes(title_text=f"{name} [deg]", row=row, col=1)
+        for row, (name, angle) in enumerate(look.angles(flight).items(), start=1):
+            _curve(figure, flight.t, angle, line.label, _pen(line), ".2f} deg", row)
+            figure.update_yaxes(title_text=f"{name} [deg]", row=row, col=1)
     figure.update_xaxes(title_text="time [s]", row=3, col=1)
     figure.update_layout(hovermode="x unified")
     return _finish(figure, 620)
 
 
 CHARTS: dict[str, Callable[[Flown], go.Figure]] = {
-    "trajectory": trajectory,
-    "residual": residual,
-    "margins": margins,
-    "solve_times": solve_times,
-    "rotors": rotors,
-    "attitude": attitude,
+    draw.__name__: draw for draw in (trajectory, residual, margins, solve_times, rotors, attitude)
 }
 """The charts of a report by name."""
 
@@ -250,8 +214,19 @@ def _xyz(points: Any) -> dict[str, Any]:
     return dict(zip("xyz", points.T, strict=True))
 
 
-def _pen(line: Line) -> dict[str, Any]:
-    return {"color": line.colour, "dash": line.dash, "width": 1.8}
+def _pen(line: Line, **other: Any) -> dict[str, Any]:
+    return {"color": line.colour, "dash": line.dash, "width": 1.8} | other
+
+
+def _curve(
+    figure: go.Figure, x: Any, y: Any, name: str, pen: dict[str, Any], unit: str,
+    row: int = 1, column: int = 1, **other: Any,
+) -> None:  # fmt: skip
+    """Add a curve to a panel; only the first panel has its name in the legend."""
+    figure.add_scatter(
+        x=x, y=y, mode="lines", name=name, line=pen, hovertemplate="%{y:" + unit, row=row,
+        col=column, **{"legendgroup": name, "showlegend": row == column == 1} | other,
+    )  # fmt: skip
 
 
 def _finish(figure: go.Figure, height_px: int, legend_below_px: int = 0) -> go.Figure:

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 
 from gtmr_monitor.flight import Flight, MarginHistory
 
+Array = NDArray[np.float64]
+
 INK = "#1a1a1a"
 """Text and axes."""
 QUIET = "#6b6b6b"
@@ -93,7 +95,7 @@ def lines(flights: Sequence[Flight]) -> list[Line]:
     return result
 
 
-def margin_parts(margins: MarginHistory) -> dict[str, NDArray[np.float64]]:
+def margin_parts(margins: MarginHistory) -> dict[str, Array]:
     """Split the total margin into its parts, in the order in which they are stacked.
 
     By channel of zeta, then ``eps_s`` and ``gust``, each [m], shape (M, N + 1).
@@ -108,12 +110,12 @@ def rotor_colour(rotor: int) -> str:
     return _ROTOR_COLOURS[rotor % len(_ROTOR_COLOURS)]
 
 
-def solve_time_bins(flights: Sequence[Flight]) -> NDArray[np.float64]:
+def solve_time_bins(flights: Sequence[Flight]) -> Array:
     """Edges of the histogram of solve times [ms], evenly spread on a logarithmic scale."""
     times = np.concatenate([flight.solve_ms for flight in flights] or [np.ones(1)])
     times = times[times > 0.0]
     low, high = (times.min(), times.max()) if times.size else (1.0, 1.0)
-    edges: NDArray[np.float64] = np.geomspace(0.95 * low, 1.05 * high, 51)
+    edges: Array = np.geomspace(0.95 * low, 1.05 * high, 51)
     return edges
 
 
@@ -135,3 +137,33 @@ def residual_range(flights: Sequence[Flight]) -> tuple[float, float]:
     high = max(0.0, *(float(values.max(initial=-np.inf)) for values in drawn))
     span = max(high - low, 0.01)
     return low - 0.05 * span, max(high + 0.05 * span, 0.1 * span)
+
+
+def heights(flown: Flown) -> Array:
+    """Say where the drawn tower begins and ends [m], shape (2,)."""
+    z = np.concatenate([flight.p[:, 2] for flight, _ in flown])
+    return np.array([z.min() - 0.15, z.max() + 0.15])
+
+
+def circle(radius_m: float) -> Array:
+    """X and y of a circle around the tower's axis [m], shape (2, 73)."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 73)
+    return radius_m * np.stack([np.cos(angle), np.sin(angle)])
+
+
+def cylinder(radius_m: float, z: Array) -> tuple[Array, Array, Array]:
+    """x, y, z of a surface around the tower's axis between two heights [m], each (2, 73)."""
+    x, y = circle(radius_m)[:, None].repeat(2, 1)
+    return x, y, z[:, None].repeat(x.shape[1], 1)
+
+
+def reference(flown: Flown) -> Array:
+    """Follow the flights' helix for as long as they took [m], shape (600, 3)."""
+    first, duration_s = flown[0][0], max(flight.duration_s for flight, _ in flown)
+    return first.helix.at(np.linspace(0.0, duration_s, 600), first.tower).position
+
+
+def angles(flight: Flight) -> dict[str, Array]:
+    """Roll, pitch and heading error [deg], by name, each of shape (n,)."""
+    columns = (*flight.eta[:, :2].T, flight.heading_error)
+    return dict(zip(("roll", "pitch", "heading error"), map(np.degrees, columns), strict=True))

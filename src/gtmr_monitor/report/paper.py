@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,48 +21,29 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from gtmr_monitor.flight import Flight
 from gtmr_monitor.report import look
 from gtmr_monitor.report.drawing import new_figure, save
-from gtmr_monitor.report.look import Line
+from gtmr_monitor.report.look import Flown, Line
 
 _DASHES = {"solid": "-", "dash": "--", "dot": ":"}
-
-Flown = Sequence[tuple[Flight, Line]]
+_LIMIT: dict[str, Any] = {"color": look.LIMIT, "linestyle": (0, (4, 2)), "linewidth": 1.2}
 
 
 def trajectory(flown: Flown) -> Figure:
-    """Draw the flights round the tower, in space and from above."""
+    """Draw the flights around the tower, in space and from above."""
     flown = look.moved(flown)
     figure = new_figure(9.0, 5.2)
     grid = figure.add_gridspec(1, 2, width_ratios=(1.2, 1.0))
     space = figure.add_subplot(grid[0], projection="3d")
     above = figure.add_subplot(grid[1])
     first = flown[0][0]
-    angle = np.linspace(0.0, 2.0 * np.pi, 73)
     radius, d_min = first.tower.radius_m, first.tower.min_clearance_m
-    top = max(flight.p[:, 2].max() for flight, _ in flown)
-    bottom = min(flight.p[:, 2].min() for flight, _ in flown)
-    height = np.array([bottom - 0.15, top + 0.15])
-    space.plot_surface(
-        radius * np.cos(angle)[None].repeat(2, 0),
-        radius * np.sin(angle)[None].repeat(2, 0),
-        height[:, None].repeat(angle.size, 1),
-        color=look.TOWER,
-        alpha=0.45,
-        linewidth=0,
-    )
-    above.fill(radius * np.cos(angle), radius * np.sin(angle), color=look.TOWER, label="tower")
-    above.plot(
-        (radius + d_min) * np.cos(angle),
-        (radius + d_min) * np.sin(angle),
-        color=look.LIMIT,
-        linestyle=(0, (4, 2)),
-        linewidth=1.0,
-        label=f"$d_\\mathrm{{min}}$ = {d_min:g} m",
-    )
-    duration = max(flight.duration_s for flight, _ in flown)
-    reference = first.helix.at(np.linspace(0.0, duration, 600), first.tower).position
+    shell = look.cylinder(radius, look.heights(flown))
+    space.plot_surface(*shell, color=look.TOWER, alpha=0.45, linewidth=0)
+    above.fill(*look.circle(radius), color=look.TOWER, label="tower")
+    label = f"$d_\\mathrm{{min}}$ = {d_min:g} m"
+    above.plot(*look.circle(radius + d_min), **_LIMIT | {"linewidth": 1.0}, label=label)
+    reference = look.reference(flown)
     space.plot(*reference.T, color=look.QUIET, linestyle=":", linewidth=1.0)
     above.plot(*reference.T[:2], color=look.QUIET, linestyle=":", label="reference")
     for flight, line in flown:
@@ -90,25 +71,20 @@ def residual(flown: Flown) -> Figure:
                 f" {mode}", (at, 1.0), xycoords=("data", "axes fraction"), va="top", fontsize=8
             )
     for flight, line in flown:
-        if flight.predictions is not None:
-            over_time.plot(
-                flight.predictions.t, flight.predictions.residual, color=line.colour,
-                linestyle=":", linewidth=0.9, label=f"{line.label}, foreseen",
-            )  # fmt: skip
+        if (plans := flight.predictions) is not None:
+            pen = _pen(line) | {"linestyle": ":", "linewidth": 0.9}
+            over_time.plot(plans.t, plans.residual, **pen, label=f"{line.label}, foreseen")
     boxes = box.boxplot(
-        [flight.residual for flight, _ in moved],
-        whis=(0.0, 100.0),
-        widths=0.5,
-        patch_artist=True,
+        [flight.residual for flight, _ in moved], whis=(0.0, 100.0), widths=0.5, patch_artist=True,
         medianprops={"color": look.INK, "linewidth": 1.4},
-    )
+    )  # fmt: skip
     for patch, (_, line) in zip(boxes["boxes"], moved, strict=True):
         patch.set(facecolor=line.colour, alpha=0.55, edgecolor=line.colour)
     box.set_xticks(range(1, len(moved) + 1), [line.label.replace(" ", "\n") for _, line in moved])
     box.grid(axis="x", visible=False)
     box.set_title("Quartiles, extremes")
     for axes in (over_time, box):
-        axes.axhline(0.0, color=look.LIMIT, linestyle=(0, (4, 2)), linewidth=1.2)
+        axes.axhline(0.0, **_LIMIT)
     over_time.annotate(
         "violated above 0", (0.005, 0.0), (0.0, 3.0), xycoords=("axes fraction", "data"),
         textcoords="offset points", va="bottom", fontsize=8, color=look.LIMIT,
@@ -169,7 +145,7 @@ def solve_times(flown: Flown) -> Figure:
     deadline = flown[0][0].deadline_ms
     if np.isfinite(deadline):
         for axes in (over_time, share):
-            axes.axhline(deadline, color=look.LIMIT, linestyle=(0, (4, 2)), linewidth=1.2)
+            axes.axhline(deadline, **_LIMIT)
         share.annotate(
             "deadline $T_s$", (1.0, deadline), (0.0, 3.0), xycoords=("axes fraction", "data"),
             textcoords="offset points", ha="right", va="bottom", fontsize=8,
@@ -209,13 +185,11 @@ def attitude(flown: Flown) -> Figure:
     flown = look.moved(flown)
     figure = new_figure(9.0, 5.6)
     panels = figure.subplots(3, 1, sharex=True)
-    names = ("roll [deg]", "pitch [deg]", "heading error [deg]")
     for flight, line in flown:
-        angles = np.column_stack([flight.eta[:, :2], flight.heading_error])
-        for axes, values in zip(panels, np.degrees(angles).T, strict=True):
-            axes.plot(flight.t, values, **_pen(line), label=line.label)
-    for axes, name in zip(panels, names, strict=True):
-        axes.set_ylabel(name)
+        for axes, (name, angle) in zip(panels, look.angles(flight).items(), strict=True):
+            axes.plot(flight.t, angle, **_pen(line), label=line.label)
+            axes.set_ylabel(f"{name} [deg]")
+    for axes in panels:
         axes.margins(x=0.0)
         axes.axhline(0.0, color=look.QUIET, linewidth=0.6, zorder=0)
     panels[0].set_title("Attitude; heading against the bearing to the tower's axis")
@@ -226,12 +200,7 @@ def attitude(flown: Flown) -> Figure:
 
 
 FIGURES: dict[str, Callable[[Flown], Figure]] = {
-    "trajectory": trajectory,
-    "residual": residual,
-    "margins": margins,
-    "solve_times": solve_times,
-    "rotors": rotors,
-    "attitude": attitude,
+    draw.__name__: draw for draw in (trajectory, residual, margins, solve_times, rotors, attitude)
 }
 """The figures of a report by name."""
 
