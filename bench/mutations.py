@@ -26,6 +26,7 @@ C = "src/gtmr_nmpc/compiled/c"
 COMPILED = "tests/nmpc/test_compiled.py::test_"
 CONTROLLER = "tests/nmpc/test_controller.py::test_"
 SENSITIVITY = "tests/nmpc/test_sensitivity.py::test_"
+MESSAGES = "tests/msgs/test_messages.py::test_"
 MUTATIONS = [
     # File, text, what it becomes, test that fails.
     (
@@ -105,6 +106,55 @@ MUTATIONS = [
         "solution.timing.total_s > self._deadline_s",
         "solution.timing.feedback_s > self._deadline_s",
         "tests/nmpc/test_performance.py::test_both_phases_together_must_keep_the_deadline",
+    ),
+    (
+        "src/gtmr_msgs_py/wire/fixed_cdr.py",
+        "if rest == self._bytes else None",
+        "if True else None",
+        MESSAGES + "another_layout_of_the_same_length_is_not_taken_for_ours",
+    ),
+    (
+        "src/gtmr_msgs_py/messages/odometry.py",
+        "attitude.rotation(q).T @",
+        "attitude.rotation(q) @",
+        MESSAGES + "packed_odometry_is_the_message_and_reads_as_it_does",
+    ),
+    (
+        "src/gtmr_msgs_py/messages/rotor_states.py",
+        "_finite(speeds / RAD_PER_TURN)",
+        "_finite(speeds)",
+        MESSAGES + "packed_rotor_states_are_the_message_and_read_as_it_does",
+    ),
+    (
+        "src/gtmr_msgs_py/wire/attitude.py",
+        "math.atan2(-r[2, 0],",
+        "math.atan2(r[2, 0],",
+        MESSAGES + "attitude_comes_back_but_for_whole_turns",
+    ),
+    (
+        "src/gtmr_msgs_py/wire/order.py",
+        "newest_ns - stamp_ns > RESET_NS",
+        "newest_ns - stamp_ns > 0",
+        "tests/nmpc/test_schedule.py::test_an_odometry_that_comes_late_neither_restarts_nor_is_answered",
+    ),
+    (
+        "src/gtmr_monitor/residual.py",
+        '"violated": high > 0.0',
+        '"violated": high >= 0.0',
+        "tests/monitor/test_residual.py::test_at_exactly_the_minimum_clearance_nothing_is_violated",
+    ),
+    (
+        "src/gtmr_monitor/bag/reader.py",
+        "validate_crcs=True",
+        "validate_crcs=False",
+        "tests/monitor/test_bag.py::test_damaged_anywhere_it_never_gives_a_message_that_was_not_written",
+    ),
+    (
+        "src/gtmr_model/tower.py",
+        "self.min_clearance_m - self.clearance(position)",
+        "self.clearance(position) - self.min_clearance_m",
+        "tests/monitor/test_residual.py::"
+        "test_of_positions_round_the_tower_agrees_with_the_distance_to_its_axis",
     ),
 ]
 
