@@ -28,8 +28,8 @@ from gtmr_study.campaign import cluster
 from gtmr_study.campaign.study import Study
 from gtmr_study.campaign.summary import summarise
 from gtmr_study.paper.claims import TRIALS, deviations, distance
-from gtmr_study.paper.unreported import UNREPORTED, Unreported, values_of, with_values
-from gtmr_study.result_files import InputError
+from gtmr_study.paper.unreported import UNREPORTED, values_of, with_values
+from gtmr_study.result_files import InputError, write_whole
 
 Target = Literal["nominal", "both"]
 TARGETS: tuple[Target, ...] = ("nominal", "both")
@@ -66,8 +66,14 @@ def calibrate(
     """
     modes: tuple[Mode, ...] = MODES if target == "both" else ("nominal",)
     base = base.model_copy(update={"modes": modes})
-    space = _space(modes)
-    starts = [_start(name, space) for name in PRESETS]
+    # eps_s moves the robust rows alone.
+    space = {
+        name: known
+        for name, known in UNREPORTED.items()
+        if known.searched is not None and (name != "eps_s_m" or "robust" in modes)
+    }
+    presets = [values_of(Study.load("scenario", preset)) for preset in PRESETS]
+    starts = [{name: values[name] for name in space} for values in presets]
     search = _open(folder, f"{target}, seed {base.seed}, {_flown(base)}")
     done = len(_done(search))
     if done < sets:
@@ -115,20 +121,6 @@ def calibrate(
     }
 
 
-def _space(modes: tuple[Mode, ...]) -> dict[str, Unreported]:
-    """Pick what is searched: eps_s moves the robust rows alone."""
-    return {
-        name: known
-        for name, known in UNREPORTED.items()
-        if known.searched is not None and (name != "eps_s_m" or "robust" in modes)
-    }
-
-
-def _start(preset: str, space: dict[str, Unreported]) -> dict[str, float]:
-    values = values_of(Study.load("scenario", preset))
-    return {name: values[name] for name in space}
-
-
 def _open(folder: Path, name: str) -> optuna.Study:
     if folder.exists() and not folder.is_dir():
         raise InputError(f"--out = {folder}: is a file, expected a folder")
@@ -168,7 +160,5 @@ def _write_best(path: Path, base: Study, target: Target, search: optuna.Study) -
         f"distance {search.best_value:.2f}\n"
         f"# from {rows} of the paper, in {_flown(base)}, seed {base.seed}.\n"
     )
-    part = path.with_name(path.name + ".part")
     content = yaml.safe_dump(best.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
-    part.write_text(said + content, encoding="utf-8")
-    part.replace(path)
+    write_whole(path, said + content)

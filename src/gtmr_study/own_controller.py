@@ -19,7 +19,7 @@ from types import ModuleType
 from gtmr_model import YamlModel
 from gtmr_nmpc import MODES, ControllerConfig
 from gtmr_sim import StepController
-from gtmr_study.result_files import InputError
+from gtmr_study.result_files import InputError, one_line
 
 
 class ControllerFingerprint(YamlModel):
@@ -83,7 +83,7 @@ class OwnController:
             exec(compile(self.source, self.path, "exec"), module.__dict__)
             controller: StepController = getattr(module, self.name)(config)
         except Exception as error:
-            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            reason = one_line(error)
             raise InputError(f"{self.path}:{self.name} cannot be made: {reason}") from None
         if not callable(getattr(controller, "step", None)):
             raise InputError(f"{self.path}:{self.name} has no step(t, x)")

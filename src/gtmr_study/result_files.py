@@ -51,8 +51,21 @@ def require_empty_folder(option: str, path: Path) -> None:
 
 def write_json(path: Path | None, result: dict[str, Any]) -> None:
     """Write a result as JSON, whole or not at all; None as path writes nothing."""
-    if path is None:
-        return
+    if path is not None:
+        write_whole(path, json.dumps(result, indent=2) + "\n")
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file whole or not at all."""
     part = path.with_name(path.name + ".part")
-    part.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
-    part.replace(path)
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def one_line(error: BaseException) -> str:
+    """Say what was raised, in one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())

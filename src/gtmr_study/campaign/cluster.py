@@ -17,7 +17,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import dask
 from distributed import Client, LocalCluster, as_completed
@@ -25,7 +25,7 @@ from distributed import Client, LocalCluster, as_completed
 from gtmr_study.campaign.study import Study
 from gtmr_study.campaign.trial import ERROR, Row, empty_row, fly_trials
 from gtmr_study.own_controller import OwnController
-from gtmr_study.result_files import InputError
+from gtmr_study.result_files import InputError, one_line
 
 CONNECT_TIMEOUT_S = 3.0
 """How long a scheduler may take to answer [s]."""
@@ -115,7 +115,8 @@ def fly_on(
     for chunk, rows in run_chunks(client, partial(fly_trials, own=own), study, chunks):
         if isinstance(rows, BaseException):
             # Flights report their own errors; here the workers themselves gave up.
-            yield [_lost(trial, mode, rows) for trial, mode in chunk]
+            lost = {"status": ERROR, "error": one_line(rows)}
+            yield [empty_row(trial, mode) | lost for trial, mode in chunk]
         else:
             yield rows
 
@@ -149,8 +150,3 @@ def chunked(flights: Flights, duration_s: float) -> Iterator[Flights]:
 def _be_quiet() -> None:
     # Lost workers are replaced, and what matters of a lost scheduler is in our own message.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
-
-
-def _lost(trial: int, mode: str, error: Any) -> Row:
-    reason = " ".join(f"{type(error).__name__}: {error}".split())
-    return empty_row(trial, mode) | {"status": ERROR, "error": reason}

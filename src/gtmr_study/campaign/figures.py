@@ -112,9 +112,7 @@ def least_clearance(campaign: Campaign) -> Figure:
     figure = new_figure(6.4, 4.2)
     axes = figure.subplots()
     for mode, rows in campaign.flown.items():
-        values = np.sort(rows["min_clearance_m"].to_numpy(float))
-        share = np.arange(1, values.size + 1) / values.size
-        axes.step(values, share, where="post", color=mode_colour(mode), label=mode)
+        _distribution(axes, rows["min_clearance_m"], color=mode_colour(mode), label=mode)
     d_min = campaign.study.controller.tower.min_clearance_m
     axes.axvline(d_min, color=look.LIMIT, linestyle=(0, (4, 2)), linewidth=1.2)
     axes.annotate(
@@ -127,6 +125,11 @@ def least_clearance(campaign: Campaign) -> Figure:
     )  # fmt: skip
     axes.legend(loc="lower right")
     return figure
+
+
+def _distribution(axes: Any, column: pd.Series, **pen: Any) -> None:
+    values = np.sort(column.to_numpy(float))
+    axes.step(values, np.arange(1, values.size + 1) / values.size, where="post", **pen)
 
 
 def violations(campaign: Campaign) -> Figure:
@@ -198,13 +201,8 @@ def solve_times(campaign: Campaign) -> Figure:
     axes = figure.subplots()
     for mode, rows in campaign.flown.items():
         for column, dash in (("solve_ms_median", "-"), ("solve_ms_p99", ":")):
-            values = np.sort(rows[column].to_numpy(float))
-            share = np.arange(1, values.size + 1) / values.size
             label = f"{mode}, {'median' if dash == '-' else '99th percentile'}"
-            axes.step(
-                values, share, where="post", linestyle=dash, label=label,
-                color=mode_colour(mode),
-            )  # fmt: skip
+            _distribution(axes, rows[column], linestyle=dash, label=label, color=mode_colour(mode))
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter("{x:g}")
     axes.set(

@@ -19,10 +19,10 @@ from gtmr_study.campaign import cluster
 from gtmr_study.campaign.study import Study
 from gtmr_study.campaign.summary import summarise
 from gtmr_study.campaign.trials_file import (
-    ResultsError,
     open_campaign,
     read_trials,
     require_own_or_empty,
+    writing,
 )
 from gtmr_study.own_controller import OwnController
 from gtmr_study.result_files import InputError, write_json
@@ -75,10 +75,6 @@ def fly_campaign(
                     on_progress(len(file.done), len(flights))
         file.sort()
         summary = summarise(read_trials(folder))
-        try:
+        with writing(folder / SUMMARY_FILE):
             write_json(folder / SUMMARY_FILE, summary)
-        except OSError as error:
-            raise ResultsError(
-                f"{folder / SUMMARY_FILE}: cannot be written: {error.strerror}"
-            ) from None
     return summary

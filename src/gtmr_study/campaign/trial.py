@@ -20,6 +20,7 @@ from gtmr_nmpc import Controller
 from gtmr_sim import FlightLog, StepController, fly
 from gtmr_study.campaign.study import Study
 from gtmr_study.own_controller import OwnController
+from gtmr_study.result_files import one_line
 
 Row = dict[str, Any]
 
@@ -79,8 +80,7 @@ def fly_trial(study: Study, trial: int, mode: str, own: OwnController | None = N
         row.update(status=FLOWN, **_figures(log, scenario.tower, study.controller.helix.offset_m))
     except Exception as error:
         # Whatever goes wrong in one of many trials belongs into its row, not to the campaign.
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        row.update(status=ERROR, error=reason)
+        row.update(status=ERROR, error=one_line(error))
     return row
 
 

@@ -24,7 +24,7 @@ import pandas as pd
 
 from gtmr_study.campaign.study import Study, mode_order
 from gtmr_study.campaign.trial import COLUMNS, Row
-from gtmr_study.result_files import InputError, write_json
+from gtmr_study.result_files import InputError, write_json, write_whole
 
 STUDY_FILE = "study.json"
 TRIALS_FILE = "trials.csv"
@@ -34,6 +34,17 @@ FORMAT = 1
 
 class ResultsError(OSError):
     """Results cannot be written; the message is one line for the user."""
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn what keeps a file from being written into a `ResultsError` that names it."""
+    try:
+        yield
+    except ResultsError:
+        raise
+    except OSError as error:
+        raise ResultsError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def is_campaign(folder: Path) -> bool:
@@ -105,13 +116,11 @@ def open_campaign(option: str, folder: Path, study: Study) -> Iterator[TrialsFil
     left as it was. ResultsError if the folder cannot be written.
     """
     require_own_or_empty(option, folder, study)
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         if not is_campaign(folder):
             write_json(folder / STUDY_FILE, _description(study))
         lock = (folder / STUDY_FILE).open("rb")
-    except OSError as error:
-        raise ResultsError(f"{folder}: cannot be written: {error.strerror}") from None
     with lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -131,10 +140,8 @@ class TrialsFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.done: set[tuple[int, str]] = set()
-        try:
+        with writing(path):
             self._take_up()
-        except OSError as error:
-            raise ResultsError(f"{path}: cannot be written: {error.strerror}") from None
 
     def append(self, rows: Sequence[Row]) -> None:
         """Add rows; ResultsError if the disk is full, for example: what was there before stays."""
@@ -151,13 +158,8 @@ class TrialsFile:
             trial, mode, _ = line.split(",", 2)
             return int(trial), mode_order(mode)
 
-        part = self.path.with_name(self.path.name + ".part")
-        try:
-            part.write_text(header + "".join(sorted(lines, key=key)), encoding="utf-8")
-            part.replace(self.path)
-        except OSError as error:
-            part.unlink(missing_ok=True)
-            raise ResultsError(f"{self.path}: cannot be written: {error.strerror}") from None
+        with writing(self.path):
+            write_whole(self.path, header + "".join(sorted(lines, key=key)))
 
     def _take_up(self) -> None:
         content = self.path.read_bytes() if self.path.exists() else b""
@@ -174,15 +176,16 @@ class TrialsFile:
 
     def _write(self, text: str) -> None:
         size = self.path.stat().st_size if self.path.exists() else 0
-        try:
-            with self.path.open("ab", buffering=0) as file:
-                data = text.encode("utf-8")
-                written = file.write(data)
-                if written < len(data):
-                    file.write(data[written:])
-        except OSError as error:
-            os.truncate(self.path, size)
-            raise ResultsError(f"{self.path}: cannot be written: {error.strerror}") from None
+        with writing(self.path):
+            try:
+                with self.path.open("ab", buffering=0) as file:
+                    data = text.encode("utf-8")
+                    written = file.write(data)
+                    if written < len(data):
+                        file.write(data[written:])
+            except OSError:
+                os.truncate(self.path, size)
+                raise
 
 
 def _description(study: Study) -> dict[str, Any]:

@@ -18,8 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gtmr_nmpc import ControllerConfig
-from gtmr_study.cli.fly import JsonOption
-from gtmr_study.cli.terminal import console
+from gtmr_study.cli.terminal import JsonOption, console
 from gtmr_study.result_files import require_folder_of, write_json
 from gtmr_study.rivals.bench import (
     CONTROLLERS,

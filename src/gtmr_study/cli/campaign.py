@@ -19,25 +19,27 @@ from typing import Annotated, Any
 import typer
 from rich.progress import MofNCompleteColumn, TaskID
 from rich.table import Table
-from rich.text import Text
 
 from gtmr_sim import GUST_KINDS
 from gtmr_study.campaign.plans import PLAN_KINDS
 from gtmr_study.campaign.study import Study
-from gtmr_study.cli.fly import JsonOption
-from gtmr_study.cli.terminal import complain, console, progress
+from gtmr_study.cli.terminal import (
+    CONTROLLER_OR_OWN,
+    DurationOption,
+    JsonOption,
+    complain,
+    console,
+    figures,
+    print_columns,
+    progress,
+)
 from gtmr_study.own_controller import OwnController
 from gtmr_study.result_files import InputError, require_folder_of, write_json
 
 PAPER_SCENARIO = "paper"
 """Preset of the paper's study."""
 
-OutOption = Annotated[
-    Path,
-    typer.Option(
-        metavar="DIR", help="Folder of results: new, empty, or of the same campaign to go on with."
-    ),
-]
+SeedOption = Annotated[int | None, typer.Option(metavar="K", help="Seed.  [0]")]
 WorkersOption = Annotated[
     int | None,
     typer.Option(metavar="W", min=1, help="Processes on this machine.  [one per processor]"),
@@ -49,12 +51,18 @@ SchedulerOption = Annotated[
 
 
 def campaign_command(
-    out: OutOption,
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of results: new, empty, or of the same campaign to go on with.",
+        ),
+    ],
     trials: Annotated[
         int | None,
         typer.Option(metavar="N", help="Trials.  [500, or every point of the plan once]"),
     ] = None,
-    seed: Annotated[int | None, typer.Option(metavar="K", help="Seed.  [0]")] = None,
+    seed: SeedOption = None,
     modes: Annotated[
         str | None, typer.Option(metavar="MODE,...", help="Which modes fly.  [nominal,robust]")
     ] = None,
@@ -74,13 +82,7 @@ def campaign_command(
     gust: Annotated[
         str | None, typer.Option(metavar="|".join(GUST_KINDS), help="Gusts.  [ou]")
     ] = None,
-    controller: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|YAML|FILE.py:CLASS",
-            help="Preset or file under config/controller, or a controller of your own.",
-        ),
-    ] = None,
+    controller: Annotated[str | None, CONTROLLER_OR_OWN] = None,
     scenario: Annotated[
         str | None,
         typer.Option(
@@ -99,6 +101,7 @@ def campaign_command(
     if own is not None and modes is not None:
         raise InputError(f"--modes = {modes}: {own.name} has no modes; leave it out")
     study = Study() if scenario is None else Study.load("scenario", scenario)
+    varied = None if channels is None else channels.split(",")
     study = with_options(
         study,
         trials=trials,
@@ -106,11 +109,7 @@ def campaign_command(
         modes=None if modes is None else modes.split(","),
         duration_s=duration,
         controller=None if own else controller,
-        plan=_changes(
-            kind=plan,
-            channels=None if channels is None else channels.split(","),
-            levels=levels,
-        ),
+        plan=_changes(kind=plan, channels=varied, levels=levels),
         gust=_changes(kind=gust),
     )
     from gtmr_study.campaign.figures import Campaign, why_no_channels, write_figures
@@ -136,7 +135,7 @@ def reproduce_command(
     quick: Annotated[
         bool, typer.Option("--quick", help="24 trials instead of 500: about a minute.")
     ] = False,
-    seed: Annotated[int | None, typer.Option(metavar="K", help="Seed.  [0]")] = None,
+    seed: SeedOption = None,
     scenario: Annotated[
         str,
         typer.Option(metavar="NAME|YAML", help="Preset or file under config/scenario."),
@@ -184,7 +183,7 @@ def calibrate_command(
         ),
     ] = None,
     trials: Annotated[int, typer.Option(metavar="N", min=1, help="Trials of a set.")] = 32,
-    duration: Annotated[float, typer.Option(metavar="S", help="Length of a flight [s].")] = 50.0,
+    duration: DurationOption = 50.0,
     seed: Annotated[int, typer.Option(metavar="K", help="Seed of trials and search.")] = 0,
     workers: WorkersOption = None,
     json: JsonOption = None,
@@ -200,14 +199,7 @@ def calibrate_command(
     study = with_options(Study(), trials=trials, seed=seed, duration_s=duration)
     number = sets if sets is not None else SETS[target]
     with _reported_progress() as show:
-        result = calibrate(
-            study,
-            target,
-            number,
-            out,
-            workers,
-            partial(show, "sets"),
-        )
+        result = calibrate(study, target, number, out, workers, partial(show, "sets"))
     write_json(json, result)
     for name, value in result["parameters"].items():
         console.print(f"{name}: {value:.4g}")
@@ -238,24 +230,15 @@ def with_options(study: Study, **changes: Any) -> Study:
 def print_summary(summary: dict[str, Any]) -> None:
     """Print the figures of a campaign, one column a mode."""
     flown = {mode: s for mode, s in summary.items() if s["trials"]}
-    table = Table("", *flown)
     rows = {
         "trials with violation": lambda s: f"{s['violations']}/{s['trials']}",
         "least clearance [m]": lambda s: f"{s['min_clearance_m']:.3f}",
         "median clearance [m]": lambda s: f"{s['median_clearance_m']:.3f}",
-        "residual q1, median, q3 [m]": lambda s: ", ".join(
-            f"{s['residual_m'][key]:.3f}" for key in ("q1", "median", "q3")
-        ),
-        "residual min, max [m]": lambda s: ", ".join(
-            f"{s['residual_m'][key]:.3f}" for key in ("min", "max")
-        ),
-        "solve time mean, p99 [ms]": lambda s: ", ".join(
-            f"{s['solve_ms'][key]:.2f}" for key in ("mean", "p99")
-        ),
+        "residual q1, median, q3 [m]": figures("residual_m", ("q1", "median", "q3"), 3),
+        "residual min, max [m]": figures("residual_m", ("min", "max"), 3),
+        "solve time mean, p99 [ms]": figures("solve_ms", ("mean", "p99"), 2),
     }
-    for name, cell in rows.items():
-        table.add_row(Text(name), *(cell(s) for s in flown.values()))
-    console.print(table)
+    print_columns(Table("", *flown), rows, flown)
     for mode, s in summary.items():
         if s["errors"]:
             complain(f"{mode}: {s['errors']} trials raised; their rows say why")

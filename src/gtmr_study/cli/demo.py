@@ -19,14 +19,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gtmr_nmpc import MODES
-from gtmr_study.cli.fly import DurationOption, JsonOption, print_flights, require_duration
-from gtmr_study.cli.terminal import complain, console, needs_ros, progress, require_choice
-from gtmr_study.result_files import (
-    InputError,
-    require_empty_folder,
-    require_folder_of,
-    write_json,
+from gtmr_study.cli.fly import print_flights, require_duration
+from gtmr_study.cli.terminal import (
+    DurationOption,
+    JsonOption,
+    complain,
+    console,
+    needs_ros,
+    progress,
+    require_choice,
 )
+from gtmr_study.result_files import InputError, require_empty_folder, require_folder_of, write_json
 
 if TYPE_CHECKING:
     from gtmr_study.ros.live import LiveView

@@ -18,7 +18,7 @@ import typer
 from gtmr_codegen.library import CompileError
 from gtmr_model import Vehicle
 from gtmr_nmpc import ControllerConfig
-from gtmr_study.cli.terminal import console
+from gtmr_study.cli.terminal import VehicleOption, console
 from gtmr_study.export.project import export_c
 from gtmr_study.result_files import InputError, require_empty_folder
 
@@ -28,9 +28,7 @@ def export_c_command(
     controller: Annotated[
         str, typer.Option(metavar="NAME|YAML", help="Preset or file under config/controller.")
     ] = "default",
-    vehicle: Annotated[
-        str | None, typer.Option(metavar="NAME|YAML", help="Preset or file under config/vehicle.")
-    ] = None,
+    vehicle: VehicleOption = None,
 ) -> None:
     """Write the controller as plain C99, with a build file and a replay that checks it."""
     require_empty_folder("DIR", folder)

@@ -17,22 +17,26 @@ from typing import Annotated, Any
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
-from rich.text import Text
 
 from gtmr_model import Vehicle
 from gtmr_monitor.residual import residual_statistics, solve_statistics
 from gtmr_nmpc import MODES, Controller, ControllerConfig
 from gtmr_sim import GUST_KINDS, GUSTS, FlightError, GustConfig, Scenario, StepController, fly
-from gtmr_study.cli.terminal import console, progress, require_choice
+from gtmr_study.cli.terminal import (
+    CONTROLLER_OR_OWN,
+    DurationOption,
+    JsonOption,
+    VehicleOption,
+    console,
+    figures,
+    print_columns,
+    progress,
+    require_choice,
+)
 from gtmr_study.own_controller import OwnController
 from gtmr_study.result_files import InputError, require_folder_of, require_new_file, write_json
 
 Zeta = tuple[float, float, float, float, float, float, float, float, float]
-
-JsonOption = Annotated[
-    Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")
-]
-DurationOption = Annotated[float, typer.Option(metavar="S", help="Length of a flight [s].")]
 
 
 def fly_command(
@@ -52,16 +56,8 @@ def fly_command(
         bool, typer.Option("--sample", help="Draw the true mismatch from its bounds by the seed.")
     ] = False,
     gust: Annotated[str, typer.Option(metavar="|".join(GUST_KINDS), help="Gusts.")] = "ou",
-    vehicle: Annotated[
-        str | None, typer.Option(metavar="NAME|YAML", help="Preset or file under config/vehicle.")
-    ] = None,
-    controller: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME|YAML|FILE.py:CLASS",
-            help="Preset or file under config/controller, or a controller of your own.",
-        ),
-    ] = "default",
+    vehicle: VehicleOption = None,
+    controller: Annotated[str, CONTROLLER_OR_OWN] = "default",
     out: Annotated[
         Path | None, typer.Option(metavar="FILE.npz", help="Write the flight, row by row.")
     ] = None,
@@ -84,8 +80,7 @@ def fly_command(
 
     config = ControllerConfig.load("controller", "default" if own else controller)
     if vehicle is not None:
-        chosen = Vehicle.load("vehicle", vehicle)
-        config = config.model_copy(update={"vehicle": chosen})
+        config = config.model_copy(update={"vehicle": Vehicle.load("vehicle", vehicle)})
     scenario = Scenario.parse(
         {
             "vehicle": config.vehicle,
@@ -145,17 +140,10 @@ def require_duration(duration: float) -> None:
 
 def print_flights(results: dict[str, dict[str, Any]]) -> None:
     """Print flights beside each other, one column a mode."""
-    table = Table("", *results, box=SIMPLE_HEAD)
     rows = {
         "least clearance [m]": lambda r: f"{r['min_clearance_m']:.3f}",
         "clearance violated": lambda r: "yes" if r["violated"] else "no",
-        "residual quartiles [m]": lambda r: ", ".join(
-            f"{r['residual_m'][key]:.3f}" for key in ("q1", "median", "q3")
-        ),
-        "solve time median, p99 [ms]": lambda r: ", ".join(
-            f"{r['solve_ms'][key]:.2f}" for key in ("median", "p99")
-        ),
+        "residual quartiles [m]": figures("residual_m", ("q1", "median", "q3"), 3),
+        "solve time median, p99 [ms]": figures("solve_ms", ("median", "p99"), 2),
     }
-    for name, cell in rows.items():
-        table.add_row(Text(name), *(cell(result) for result in results.values()))
-    console.print(table)
+    print_columns(Table("", *results, box=SIMPLE_HEAD), rows, results)

@@ -27,7 +27,15 @@ from gtmr_model import Vehicle
 from gtmr_monitor.bag.reader import TruncatedBagWarning
 from gtmr_monitor.bag.vehicles import read_recording
 from gtmr_nmpc import MODES, ControllerConfig
-from gtmr_study.cli.terminal import complain, console, needs_ros, progress, require_choice
+from gtmr_study.cli.terminal import (
+    JsonOption,
+    complain,
+    console,
+    figures,
+    needs_ros,
+    progress,
+    require_choice,
+)
 from gtmr_study.result_files import InputError, require_folder_of, require_new_file, write_json
 
 RATES = (0.01, 100.0)
@@ -71,9 +79,7 @@ def replay_command(
             metavar="FILE.html", help="Compare margins and plans, recorded and replayed."
         ),
     ] = None,
-    json: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")
-    ] = None,
+    json: JsonOption = None,
 ) -> None:
     """Feed a bag's odometry and rotor speeds to the controller again; compare its commands."""
     if mode is not None:
@@ -149,14 +155,11 @@ def play_command(
         with progress() as bar, warnings.catch_warnings():
             warnings.simplefilter("ignore", TruncatedBagWarning)
             task = bar.add_task("play", total=playlist.duration_s)
-            notes = play(
-                playlist,
-                rate,
-                loop,
-                wait,
-                lambda into_s: bar.update(task, completed=into_s),
-                stop,
-            )
+
+            def show(into_s: float) -> None:
+                bar.update(task, completed=into_s)
+
+            notes = play(playlist, rate, loop, wait, show, stop)
     finally:
         signal.signal(signal.SIGINT, before)
     for note in notes:
@@ -181,11 +184,8 @@ def _print_result(result: dict[str, Any]) -> None:
     ):
         table.add_row(Text(name), *(_metres(result[who][key]) for who in ("recorded", "replayed")))
     table.add_row(Text("steps without a solution"), "", str(result["replayed"]["failed_steps"]))
-    table.add_row(
-        Text("solve time median, p99 [ms]"),
-        "",
-        ", ".join(f"{result['replayed']['solve_ms'][key]:.2f}" for key in ("median", "p99")),
-    )
+    solve_times = figures("solve_ms", ("median", "p99"), 2)(result["replayed"])
+    table.add_row(Text("solve time median, p99 [ms]"), "", solve_times)
     console.print(table)
     if result["samples"]:
         console.print(

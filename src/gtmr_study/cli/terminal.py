@@ -6,16 +6,19 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What the commands say: results, progress, and what is wrong in one clear line."""
+"""What the commands share: options, tables, progress, and what is wrong in one clear line."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from typing import Any, cast
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from typing import Annotated, Any, cast
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
 
 from gtmr_model import ConfigError
 from gtmr_monitor.bag.format import BagError
@@ -28,6 +31,18 @@ INTERRUPTED = 130
 UsageError: type[Exception] = typer.BadParameter.__bases__[0]
 """What wrong options raise; from typer, since it may carry its own copy of click."""
 
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")
+]
+DurationOption = Annotated[float, typer.Option(metavar="S", help="Length of a flight [s].")]
+VehicleOption = Annotated[
+    str | None, typer.Option(metavar="NAME|YAML", help="Preset or file under config/vehicle.")
+]
+CONTROLLER_OR_OWN = typer.Option(
+    metavar="NAME|YAML|FILE.py:CLASS",
+    help="Preset or file under config/controller, or a controller of your own.",
+)
+
 console = Console()
 """For results and progress."""
 _errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
@@ -36,6 +51,20 @@ _errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
 def complain(reason: object) -> None:
     """Say on stderr, in one line, what is wrong."""
     _errors.print(f"gtmr: {reason}")
+
+
+def print_columns(
+    table: Table, rows: dict[str, Callable[[Any], str]], results: Mapping[str, Any]
+) -> None:
+    """Print results beside each other, one column each, and what is said of them a row each."""
+    for name, cell in rows.items():
+        table.add_row(Text(name), *(cell(result) for result in results.values()))
+    console.print(table)
+
+
+def figures(key: str, names: tuple[str, ...], places: int) -> Callable[[Any], str]:
+    """Say how some figures of one part of a result are written, to so many places."""
+    return lambda result: ", ".join(f"{result[key][name]:.{places}f}" for name in names)
 
 
 def progress(amount: ProgressColumn | None = None) -> Progress:

@@ -23,7 +23,7 @@ WIND_BIAS_N = (0.6, 0.4, 0.0)
 
 
 @dataclass(frozen=True)
-class Row:
+class Reported:
     """What the paper says of one mode."""
 
     violations: int
@@ -36,14 +36,14 @@ class Row:
     """Whiskers and quartiles of s, as they are drawn in Fig. 2 [m]."""
 
 
-PAPER: dict[Mode, Row] = {
-    "nominal": Row(
+PAPER: dict[Mode, Reported] = {
+    "nominal": Reported(
         violations=230,
         min_clearance_m=0.182,
         solve_ms=9.4,
         residual_m={"min": -0.25, "q1": -0.22, "median": -0.15, "q3": -0.08, "max": 0.018},
     ),
-    "robust": Row(
+    "robust": Reported(
         violations=0,
         min_clearance_m=0.364,
         solve_ms=18.7,
