@@ -21,7 +21,7 @@ unexport PYTHONDONTWRITEBYTECODE
 setup: $(STAMP)
 
 # Two workers; tests/conftest.py says what must not run at the same time.
-PYTEST = $(BIN)/pytest --numprocesses 2 --dist loadgroup
+PYTEST = $(BIN)/pytest --numprocesses 2
 
 run: setup
 	$(BIN)/gtmr demo $(ARGS)

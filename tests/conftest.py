@@ -22,20 +22,29 @@ os.environ.update(ros_environment())
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 
 
-SHARED = ("flown", "reproduced", "flights", "one_worker")
-"""Fixtures that fly for seconds, once: whoever uses one runs where it was made."""
+# Real time needs a core for itself: one graph at a time. What is flown once stays together.
+TOGETHER = {
+    "tests/graph/": "graph",
+    "tests/monitor/test_mcap_core.py": "graph",
+    "tests/study/test_campaign": "campaign",
+    "tests/study/test_calibration.py": "calibration",
+    "tests/study/test_reproduction.py": "reproduction",
+    "tests/nmpc/test_flights.py": "flights",
+}
+"""Beginnings of test names, and what runs on one of several workers, one after the other."""
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
-    """Say which tests stay together on one of several workers."""
-    for item in items:
-        shared = [name for name in SHARED if name in getattr(item, "fixturenames", ())]
-        # Real time needs a core for itself: one graph at a time.
-        if item.path.parent.name == "graph" or item.path.stem == "test_mcap_core":
-            item.add_marker(pytest.mark.xdist_group("graph"))
-        elif shared:
-            item.add_marker(pytest.mark.xdist_group(shared[0]))
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Hand out tests; the groups of xdist itself have no effect with pytest 9."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Together(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            groups = (name for start, name in TOGETHER.items() if nodeid.startswith(start))
+            return next(groups, nodeid)
+
+    return Together(config, log)
 
 
 @pytest.fixture
