@@ -48,10 +48,7 @@ NEWEST = QoSProfile(
 def message_class(type_name: str) -> type:
     """Import a message class by its interface name, for example ``nav_msgs/msg/Odometry``.
 
-    Raises
-    ------
-    ImportError
-        If it is not installed.
+    Raises ImportError if it is not installed.
     """
     package, kind, name = type_name.split("/")
     try:
@@ -88,16 +85,8 @@ class Topic(TopicName):
     ) -> Subscription:
         """Create a subscription to this topic.
 
-        Parameters
-        ----------
-        node : rclpy.node.Node
-            Who subscribes.
-        callback : callable
-            Gets every message.
-        qos : rclpy.qos.QoSProfile, optional
-            What is offered if left out, as a recorder wants it; control loops ask for ``NEWEST``.
-        raw : bool
-            Whether the callback gets CDR bytes rather than a message.
+        Quality of service is as offered if left out, as a recorder wants it; control loops ask for
+        ``NEWEST``. A raw callback gets CDR bytes rather than a message.
         """
         qos = self.qos if qos is None else qos
         return node.create_subscription(self.message, self.name, callback, qos, raw=raw)

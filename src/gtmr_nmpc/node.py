@@ -80,15 +80,7 @@ class NmpcParameters(ControllerConfig):
 class NmpcNode(SuiteNode):
     """Runs a controller step whenever the odometry is T_s further on.
 
-    Parameters
-    ----------
-    managed : bool
-        Whether lifecycle services say when it takes part.
-
-    Raises
-    ------
-    ConfigError
-        If a parameter cannot be used.
+    Raises ConfigError if a parameter cannot be used.
     """
 
     PRESETS: ClassVar = {"margin": "paper", "vehicle": "paper"}
@@ -331,18 +323,7 @@ class NmpcNode(SuiteNode):
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node ``nmpc``.
-
-    Parameters
-    ----------
-    args : list of str, optional
-        Command line with ROS arguments; ``sys.argv`` if left out.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after SIGINT, 2 for a bad parameter.
-    """
+    """Run the node ``nmpc``; exit codes and arguments are those of `run`."""
     return run(NmpcNode, args, PROMPT)
 
 

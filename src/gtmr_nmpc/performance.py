@@ -27,12 +27,9 @@ ACTIVE_SHARE = 0.999
 def standing(solution: Solution, tower: Tower, vehicle: Vehicle) -> dict[str, float | int]:
     """Say where a plan stands against its constraints.
 
-    Returns
-    -------
-    dict
-        How many stages and inputs are at their limits, the largest slack [m]; at the tightest
-        stage, which comes closest to the tightened clearance, its number, what is left [m], and
-        the margins by channel [m].
+    How many stages and inputs are at their limits, the largest slack [m]; at the tightest stage,
+    which comes closest to the tightened clearance, its number, what is left [m], and the margins
+    by channel [m].
     """
     alpha = solution.alpha_p + solution.alpha_g
     tightened = tower.residual(solution.x_plan) + alpha
@@ -53,14 +50,9 @@ def standing(solution: Solution, tower: Tower, vehicle: Vehicle) -> dict[str, fl
 
 
 class Performance:
-    """Solve times, deadline misses and solver statuses over the last steps.
+    """Solve times, deadline misses and solver statuses over the last steps, as many as the window.
 
-    Parameters
-    ----------
-    sampling_time_s : float
-        T_s, the deadline of a step's two phases together [s].
-    window : int
-        How many steps the figures are over.
+    T_s is the deadline of a step's two phases together [s].
     """
 
     def __init__(self, sampling_time_s: float, window: int = 400) -> None:
@@ -79,12 +71,7 @@ class Performance:
     def add(self, solution: Solution, latency_s: float) -> None:
         """Take in a step.
 
-        Parameters
-        ----------
-        solution : Solution
-            What the step gave.
-        latency_s : float
-            From receiving the odometry to having sent the command, wall time [s].
+        Latency is from receiving the odometry to having sent the command, wall time [s].
         """
         self.steps += 1
         self.deadline_misses += solution.timing.total_s > self._deadline_s
@@ -104,13 +91,10 @@ class Performance:
         return self._statuses[-1] if self._statuses else "none"
 
     def percentiles_ms(self) -> dict[str, float]:
-        """Median, 99th percentile and maximum of the window's times.
+        """Median, 99th percentile and maximum of the window's times [ms].
 
-        Returns
-        -------
-        dict
-            ``solve``, ``feedback`` and ``latency``, each ``_median_ms``, ``_p99_ms`` and
-            ``_max_ms`` [ms]; empty before the first step.
+        ``solve``, ``feedback`` and ``latency``, each ``_median_ms``, ``_p99_ms`` and ``_max_ms``;
+        empty before the first step.
         """
         times = {
             "solve": self._solve_s,

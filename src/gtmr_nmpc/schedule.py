@@ -29,13 +29,7 @@ class Due(Enum):
 
 
 class Schedule:
-    """Steps T_s apart, on odometry that may come faster and a little unevenly.
-
-    Parameters
-    ----------
-    period_ns : int
-        T_s [ns].
-    """
+    """Steps T_s (period_ns) apart, on odometry that may come faster and a little unevenly."""
 
     EVENNESS = 10
     """An odometry within T_s / 10 of the instant that was prepared for is taken as that instant,

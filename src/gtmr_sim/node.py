@@ -102,15 +102,7 @@ class SimParameters(Scenario):
 class SimNode(SuiteNode):
     """Flies a scenario in real time, or in lockstep with the controller.
 
-    Parameters
-    ----------
-    managed : bool
-        Whether lifecycle services say when it flies.
-
-    Raises
-    ------
-    ConfigError
-        If a parameter cannot be used.
+    Raises ConfigError if a parameter cannot be used.
     """
 
     PRESETS: ClassVar = {"vehicle": "paper"}
@@ -337,18 +329,7 @@ class SimNode(SuiteNode):
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node ``sim``.
-
-    Parameters
-    ----------
-    args : list of str, optional
-        Command line with ROS arguments; ``sys.argv`` if left out.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after the flight or SIGINT, 2 for a bad parameter.
-    """
+    """Run the node ``sim``; exit codes and arguments are those of `run`."""
     return run(SimNode, args, PROMPT)
 
 

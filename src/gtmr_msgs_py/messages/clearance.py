@@ -24,19 +24,10 @@ tower [rad]."""
 
 
 def encode(stamp_ns: int, clearance_m: float) -> Range:
-    """Make the range message of a clearance; no value is out of its range, as viewers hide those.
+    """Make the range message of a clearance d_T [m], negative inside the tower.
 
-    Parameters
-    ----------
-    stamp_ns : int
-        Stamp of the odometry that it was computed from [ns].
-    clearance_m : float
-        d_T, distance to the tower's surface, negative inside [m].
-
-    Returns
-    -------
-    sensor_msgs.msg.Range
-        Single precision, by the message's definition.
+    The stamp [ns] is that of the odometry it was computed from. The range has single precision,
+    and no value is out of it, as viewers hide those.
     """
     msg = Range(
         radiation_type=Range.INFRARED,

@@ -68,15 +68,7 @@ NAMESPACES = (
 
 
 def encode(stamp_ns: int, markers: Iterable[Marker]) -> MarkerArray:
-    """Put markers into one message.
-
-    Parameters
-    ----------
-    stamp_ns : int
-        [ns].
-    markers : iterable of visualization_msgs.msg.Marker
-        In the world frame.
-    """
+    """Put markers, of the world frame, into one message with a stamp [ns]."""
     stamped = list(markers)
     for marker in stamped:
         marker.header.frame_id = MAP
@@ -85,13 +77,7 @@ def encode(stamp_ns: int, markers: Iterable[Marker]) -> MarkerArray:
 
 
 def tower(tower: Tower) -> list[Marker]:
-    """Draw the tower and the shell at d_min that the vehicle must stay out of.
-
-    Parameters
-    ----------
-    tower : Tower
-        On the z axis of the world frame.
-    """
+    """Draw the tower and the shell at d_min that the vehicle must stay out of."""
     radius = tower.radius_m
     return [
         _upright_cylinder("tower", radius, CONCRETE),
@@ -104,19 +90,9 @@ def tightened_shells(
 ) -> list[Marker]:
     """Draw what the plan stays out of, in the colour of the mode.
 
-    A shell of full height stands for the largest margin, and a collar at the height of each stage
-    for the margin of that stage; collars of different margins lie in each other like rings.
-
-    Parameters
-    ----------
-    tower : Tower
-        On the z axis of the world frame.
-    margins_m : array_like, shape (N + 1,)
-        alpha_p + alpha_g by stage [m].
-    heights_m : array_like, shape (N + 1,)
-        Planned height by stage, world frame [m].
-    mode : str
-        ``nominal`` or ``robust``.
+    A shell of full height stands for the largest margin alpha_p + alpha_g [m], and a collar at the
+    planned height of each stage [m] for the margin of that stage, both of shape (N + 1,); collars
+    of different margins lie in each other like rings.
     """
     color = MODE_COLORS[mode]
     radii = tower.radius_m + tower.min_clearance_m + np.asarray(margins_m, dtype=float)
@@ -131,47 +107,22 @@ def tightened_shells(
 
 
 def line(namespace: str, positions: ArrayLike, color: Color, width_m: float) -> Marker:
-    """Draw a line through positions.
-
-    Parameters
-    ----------
-    namespace : str
-        Of the marker.
-    positions : array_like, shape (n, 3)
-        World frame [m].
-    color : Color
-        Of the line.
-    width_m : float
-        Of the line [m].
-    """
+    """Draw a line through positions in the world frame [m], shape (n, 3)."""
     strip = _marker(namespace, 0, Marker.LINE_STRIP, color, (width_m, 0.0, 0.0))
     strip.points = [_point(p) for p in np.asarray(positions, dtype=float)]
     return strip
 
 
 def plan(positions: ArrayLike, mode: str) -> list[Marker]:
-    """Draw the planned path, in the colour of the mode.
-
-    Parameters
-    ----------
-    positions : array_like, shape (N + 1, 3)
-        World frame [m].
-    mode : str
-        ``nominal`` or ``robust``.
-    """
+    """Draw planned positions in the world frame [m], shape (N + 1, 3), in the mode's colour."""
     return [line("plan", positions, MODE_COLORS[mode], 0.02)]
 
 
 def vehicle(vehicle: Vehicle, x: ArrayLike) -> list[Marker]:
     """Draw body, arms and propeller discs, tilted as they are and coloured by their spin.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Where the rotors are, and what they push.
-    x : array_like, shape (6,) or longer
-        State [p, eta, ...]: world frame [m], [rad]. Of a whole state, which ends with the rotor
-        speeds [Hz], thrust is drawn too, as arrows from the hubs.
+    State [p, eta, ...]: world frame [m], [rad]. Of a whole state, which ends with the rotor speeds
+    [Hz], thrust is drawn too, as arrows from the hubs.
     """
     state = np.asarray(x, dtype=float)
     position, orientation = state[POSITION], attitude.encode(state[ATTITUDE])

@@ -37,24 +37,10 @@ NUMBERS = 85
 
 
 def decode(msg: Odometry) -> tuple[int, NDArray[np.float64]]:
-    """Read the state out of an odometry message.
+    """Read when a state was measured [ns], and the state [p, eta, v, omega], shape (12,).
 
-    Parameters
-    ----------
-    msg : nav_msgs.msg.Odometry
-        Twist in the child frame, as the message's definition says.
-
-    Returns
-    -------
-    stamp_ns : int
-        When the state was measured [ns].
-    x : NDArray, shape (12,)
-        State [p, eta, v, omega]; yaw is within -pi to pi.
-
-    Raises
-    ------
-    MessageError
-        If a number is not finite or the orientation is no unit quaternion.
+    Units and frames are those of `pack`; yaw is within -pi to pi. Raises MessageError if a number
+    is not finite or the orientation is no unit quaternion.
     """
     pose, twist = msg.pose.pose, msg.twist.twist
     x = _state(
@@ -67,19 +53,10 @@ def decode(msg: Odometry) -> tuple[int, NDArray[np.float64]]:
 
 
 def pack(stamp_ns: int, x: ArrayLike) -> bytes:
-    """Make the odometry of a state, as the bytes that go over the wire.
+    """Make CDR bytes of a nav_msgs/Odometry, of a state that was measured at a stamp [ns].
 
-    Parameters
-    ----------
-    stamp_ns : int
-        When the state was measured [ns].
-    x : array_like, shape (12,) or longer
-        State [p, eta, v, omega, ...]: m, rad, m/s, rad/s; p and v in world ENU, omega in body FLU.
-
-    Returns
-    -------
-    bytes
-        CDR of a nav_msgs/Odometry; covariances are zero, that is, not known.
+    State [p, eta, v, omega, ...]: m, rad, m/s, rad/s; p and v in world ENU, omega in body FLU.
+    Covariances are zero, that is, not known.
     """
     state = np.asarray(x, dtype=float)
     q = attitude.encode(state[ATTITUDE])
@@ -90,24 +67,9 @@ def pack(stamp_ns: int, x: ArrayLike) -> bytes:
 
 
 def unpack(data: bytes) -> tuple[int, NDArray[np.float64]]:
-    """Read the state as `decode` does, out of bytes; those of `pack` in half the time.
+    """Read the state as `decode` does, out of CDR bytes from anywhere.
 
-    Parameters
-    ----------
-    data : bytes
-        CDR of a nav_msgs/Odometry from anywhere.
-
-    Returns
-    -------
-    stamp_ns : int
-        When the state was measured [ns].
-    x : NDArray, shape (12,)
-        State [p, eta, v, omega]; yaw is within -pi to pi.
-
-    Raises
-    ------
-    MessageError
-        If a number is not finite or the orientation is no unit quaternion.
+    Those of `pack` take half the time.
     """
     unpacked = _layout().unpack(data)
     if unpacked is None:

@@ -22,16 +22,8 @@ from gtmr_msgs_py.wire import attitude, stamps
 def encode(stamp_ns: int, step_ns: int, positions: ArrayLike, rpy: ArrayLike) -> Path:
     """Make a path of poses that follow each other at an even pace.
 
-    Parameters
-    ----------
-    stamp_ns : int
-        When the first pose is due [ns].
-    step_ns : int
-        Time from one pose to the next [ns].
-    positions : array_like, shape (n, 3)
-        World frame [m].
-    rpy : array_like, shape (n, 3)
-        Roll, pitch, yaw [rad].
+    The first is due at the stamp [ns], the next one step [ns] later; positions are in the world
+    frame [m] and rpy are roll, pitch, yaw [rad], both of shape (n, 3).
     """
     msg = Path()
     msg.header.frame_id = MAP
@@ -51,20 +43,7 @@ def encode(stamp_ns: int, step_ns: int, positions: ArrayLike, rpy: ArrayLike) ->
 
 
 def decode(msg: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Read when a path is where.
-
-    Parameters
-    ----------
-    msg : nav_msgs.msg.Path
-        In the world frame.
-
-    Returns
-    -------
-    stamps_ns : NDArray of int, shape (n,)
-        [ns].
-    positions : NDArray, shape (n, 3)
-        [m].
-    """
+    """Read when a path is where: stamps [ns], shape (n,), and positions [m], shape (n, 3)."""
     points = [pose.pose.position for pose in msg.poses]
     times = np.array([stamps.decode(pose.header.stamp) for pose in msg.poses], dtype=np.int64)
     return times, np.array([(p.x, p.y, p.z) for p in points]).reshape(-1, 3)

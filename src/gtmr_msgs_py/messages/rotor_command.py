@@ -39,24 +39,10 @@ class RotorPlan:
 
 
 def decode(msg: JointTrajectory, n_rotors: int) -> RotorPlan:
-    """Read the plan out of a command.
+    """Read the plan out of a command; the accelerations of the last point are left out.
 
-    Parameters
-    ----------
-    msg : trajectory_msgs.msg.JointTrajectory
-        Points evenly spaced in time from zero on.
-    n_rotors : int
-        N_p, how many rotors the vehicle has.
-
-    Returns
-    -------
-    RotorPlan
-        The accelerations of the last point are left out.
-
-    Raises
-    ------
-    MessageError
-        If rotors or points are missing, points are not evenly spaced or numbers are not finite.
+    Raises MessageError if rotors or points are missing, points are not evenly spaced in time from
+    zero on or numbers are not finite.
     """
     expected = rotor_names(n_rotors)
     if list(msg.joint_names) != expected:
@@ -80,37 +66,17 @@ def decode(msg: JointTrajectory, n_rotors: int) -> RotorPlan:
 
 
 def pack(stamp_ns: int, step_ns: int, xi: ArrayLike, u: ArrayLike) -> bytes:
-    """Make a command of a plan, as the bytes that go over the wire.
+    """Make CDR bytes of a trajectory_msgs/JointTrajectory of N + 1 points, T_s (step_ns) apart.
 
-    Parameters
-    ----------
-    stamp_ns : int
-        Stamp of the odometry that it was planned from [ns].
-    step_ns : int
-        T_s [ns].
-    xi : array_like, shape (N + 1, N_p)
-        Planned rotor speeds [Hz].
-    u : array_like, shape (N, N_p)
-        Planned rotor accelerations [Hz/s].
-
-    Returns
-    -------
-    bytes
-        CDR of a trajectory_msgs/JointTrajectory of N + 1 points; at the last one the accelerations
-        are zero: hold that speed.
+    Stamp of the odometry that it was planned from [ns], rotor speeds xi [Hz], shape (N + 1, N_p),
+    accelerations u [Hz/s], shape (N, N_p); at the last point these are zero: hold that speed.
     """
     points = _points(xi, u)
     return _layout(step_ns, len(points), points.shape[2]).pack(stamp_ns, points.ravel())
 
 
 class Reader:
-    """Reads commands out of bytes; one of the same shape as the last without looking at it again.
-
-    Parameters
-    ----------
-    n_rotors : int
-        N_p, how many rotors the vehicle has.
-    """
+    """Reads commands out of bytes; one of the same shape as the last without a second look."""
 
     def __init__(self, n_rotors: int) -> None:
         self._n_rotors = n_rotors
@@ -118,23 +84,9 @@ class Reader:
         self._layout: FixedCdr | None = None
 
     def unpack(self, data: bytes) -> RotorPlan:
-        """Read the plan as `decode` does.
+        """Read the plan as `decode` does, out of CDR bytes from anywhere.
 
-        Parameters
-        ----------
-        data : bytes
-            CDR of a trajectory_msgs/JointTrajectory from anywhere.
-
-        Returns
-        -------
-        RotorPlan
-            The accelerations of the last point are left out.
-
-        Raises
-        ------
-        MessageError
-            If rotors or points are missing, points are not evenly spaced or numbers are not
-            finite.
+        Raises MessageError for what `decode` refuses.
         """
         unpacked = None if self._layout is None else self._layout.unpack(data)
         if unpacked is None:

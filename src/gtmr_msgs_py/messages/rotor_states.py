@@ -24,26 +24,10 @@ from gtmr_msgs_py.wire.message_error import MessageError
 
 
 def decode(msg: JointState, n_rotors: int) -> tuple[int, NDArray[np.float64]]:
-    """Read the rotor speeds, in the order of the state whatever the order of the names.
+    """Read when rotor speeds were measured [ns], and the speeds [Hz], shape (N_p,).
 
-    Parameters
-    ----------
-    msg : sensor_msgs.msg.JointState
-        Speeds [rad/s]; without names they are taken in order.
-    n_rotors : int
-        N_p, how many rotors the vehicle has.
-
-    Returns
-    -------
-    stamp_ns : int
-        When they were measured [ns].
-    xi : NDArray, shape (N_p,)
-        Rotor speeds [Hz].
-
-    Raises
-    ------
-    MessageError
-        If rotors are missing, or a speed is not finite.
+    They are in the order of the state whatever the order of the names; without names they are
+    taken in order. Raises MessageError if rotors are missing, or a speed is not finite.
     """
     xi = np.array(msg.velocity) / RAD_PER_TURN
     names = list(msg.name)
@@ -58,46 +42,16 @@ def decode(msg: JointState, n_rotors: int) -> tuple[int, NDArray[np.float64]]:
 
 
 def pack(stamp_ns: int, xi: ArrayLike) -> bytes:
-    """Make the rotor states of a state, as the bytes that go over the wire.
+    """Make CDR bytes of a sensor_msgs/JointState, of rotor speeds [Hz].
 
-    Parameters
-    ----------
-    stamp_ns : int
-        When they were measured [ns]: the stamp of the odometry they belong to.
-    xi : array_like, shape (N_p,)
-        Rotor speeds [Hz].
-
-    Returns
-    -------
-    bytes
-        CDR of a sensor_msgs/JointState.
+    The stamp [ns] is that of the odometry they belong to.
     """
     speeds = RAD_PER_TURN * np.asarray(xi, dtype=float)
     return _layout(len(speeds)).pack(stamp_ns, speeds)
 
 
 def unpack(data: bytes, n_rotors: int) -> tuple[int, NDArray[np.float64]]:
-    """Read the rotor speeds as `decode` does, out of bytes; fast those of `pack`.
-
-    Parameters
-    ----------
-    data : bytes
-        CDR of a sensor_msgs/JointState from anywhere.
-    n_rotors : int
-        N_p, how many rotors the vehicle has.
-
-    Returns
-    -------
-    stamp_ns : int
-        When they were measured [ns].
-    xi : NDArray, shape (N_p,)
-        Rotor speeds [Hz].
-
-    Raises
-    ------
-    MessageError
-        If rotors are missing, or a speed is not finite.
-    """
+    """Read rotor speeds as `decode` does, out of CDR bytes from anywhere; fast those of `pack`."""
     unpacked = _layout(n_rotors).unpack(data)
     if unpacked is None:
         return decode(deserialize_message(data, JointState), n_rotors)

@@ -46,23 +46,10 @@ class Tightening:
 def encode(
     by_channel: ArrayLike, eps_s: ArrayLike, alpha_g: ArrayLike, slack: ArrayLike
 ) -> Float64MultiArray:
-    """Make the message of the margins.
+    """Make the message of the margins [m]: N + 1 rows of the columns that a label names.
 
-    Parameters
-    ----------
-    by_channel : array_like, shape (N + 1, 9)
-        Terms of alpha_p without eps_s [m].
-    eps_s : array_like, shape () or (N + 1,)
-        The constant term of alpha_p [m].
-    alpha_g : array_like, shape (N + 1,)
-        Gust margin [m].
-    slack : array_like, shape (N + 1,)
-        Violation of the tightened clearance [m].
-
-    Returns
-    -------
-    std_msgs.msg.Float64MultiArray
-        N + 1 rows of the columns that the second dimension's label names.
+    Terms of alpha_p without eps_s have shape (N + 1, 9), eps_s, the constant term, () or (N + 1,),
+    alpha_g and slack, the violation of the tightened clearance, (N + 1,).
     """
     terms = np.asarray(by_channel, dtype=float)
     rows = np.empty((len(terms), len(COLUMNS)))
@@ -78,18 +65,7 @@ def encode(
 
 
 def decode(msg: Float64MultiArray) -> Tightening:
-    """Read the margins.
-
-    Parameters
-    ----------
-    msg : std_msgs.msg.Float64MultiArray
-        Laid out as ``encode`` does.
-
-    Raises
-    ------
-    MessageError
-        If the labels or the sizes are others.
-    """
+    """Read the margins; raises MessageError if labels or sizes are not those of `encode`."""
     labels = [dim.label for dim in msg.layout.dim]
     if labels != [STAGE, ",".join(COLUMNS)]:
         raise MessageError(f"tightening is labelled {labels}: expected {STAGE} and {COLUMNS}")

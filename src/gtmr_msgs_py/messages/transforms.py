@@ -27,37 +27,14 @@ from gtmr_msgs_py.wire import attitude, stamps
 
 
 def encode(stamp_ns: int, x: ArrayLike) -> Any:
-    """Make the message of a state, which needs ``tf2_msgs``.
-
-    Parameters
-    ----------
-    stamp_ns : int
-        When the state was measured [ns].
-    x : array_like, shape (6,) or longer
-        State [p, eta, ...]: world ENU [m], [rad].
-
-    Returns
-    -------
-    tf2_msgs.msg.TFMessage
-        The one transform from `map` to `base_link`.
-    """
+    """Make the tf2_msgs/TFMessage of a state as `transform` does; this needs ``tf2_msgs``."""
     return message_class(TF.type_name)(transforms=[transform(stamp_ns, x)])
 
 
 def transform(stamp_ns: int, x: ArrayLike) -> TransformStamped:
-    """Make the transform of a state.
+    """Make the transform of a state: the pose of `base_link` (FLU) in `map` (ENU).
 
-    Parameters
-    ----------
-    stamp_ns : int
-        When the state was measured [ns].
-    x : array_like, shape (6,) or longer
-        State [p, eta, ...]: world ENU [m], [rad].
-
-    Returns
-    -------
-    geometry_msgs.msg.TransformStamped
-        The pose of `base_link` (FLU) in `map` (ENU).
+    The state [p, eta, ...] was measured at the stamp [ns]: world ENU [m], [rad].
     """
     state = np.asarray(x, dtype=float)
     px, py, pz = (float(value) for value in state[POSITION])

@@ -86,18 +86,11 @@ class Declaration:
 def declarations(
     model: YamlModel, presets: Mapping[str, str] | None = None, dynamic: Collection[str] = ()
 ) -> list[Declaration]:
-    """List the parameters that a configuration becomes.
+    """List the parameters that a configuration becomes; its values are the defaults.
 
-    Parameters
-    ----------
-    model : YamlModel
-        The configuration whose values are the defaults.
-    presets : mapping, optional
-        Top-level fields that are one string, a preset's name or the path of a YAML file, with
-        the default name.
-    dynamic : collection of str
-        Names of the parameters that may change while the node runs; the name of a nested model
-        stands for all that is in it.
+    Presets are top-level fields that are one string, a preset's name or the path of a YAML file,
+    with the default name. Dynamic parameters, by name, may change while the node runs; the name of
+    a nested model stands for all that is in it.
     """
     return list(_declarations(model, presets or {}, frozenset(dynamic), ()))
 

@@ -34,12 +34,9 @@ class Level(IntEnum):
 
 
 def source(node: Node) -> str:
-    """Say who is speaking, as viewers group statuses by the part of their name before the colon.
+    """Say who is speaking: a node's name with its namespace, ``nmpc`` or ``hex1/nmpc``.
 
-    Returns
-    -------
-    str
-        Its name, with the namespace if it has one: ``nmpc``, or ``hex1/nmpc``.
+    Viewers group statuses by the part of their name before the colon.
     """
     return str(node.get_fully_qualified_name()).lstrip("/")
 
@@ -54,20 +51,8 @@ def encode(
 ) -> DiagnosticArray:
     """Make the diagnostics of a node.
 
-    Parameters
-    ----------
-    stamp_ns : int
-        [ns].
-    name : str
-        What is diagnosed, for example ``nmpc: controller``.
-    level : Level
-        How it is doing.
-    message : str
-        The same in words.
-    values : mapping
-        Figures by name; names end in their unit.
-    hardware_id : str
-        Which vehicle.
+    The name says what is diagnosed, for example ``nmpc: controller``; the message tells the level
+    in words, the values are figures by name, which ends in the unit; the hardware is a vehicle.
     """
     status = DiagnosticStatus(
         name=name,
@@ -84,10 +69,7 @@ def encode(
 def decode(status: DiagnosticStatus) -> dict[str, Value]:
     """Read the figures of a status.
 
-    Returns
-    -------
-    dict
-        Whole numbers, other numbers, true and false as what they are, everything else as text.
+    Whole numbers, other numbers, true and false are what they are, everything else is text.
     """
     return {pair.key: _value(pair.value) for pair in status.values}
 

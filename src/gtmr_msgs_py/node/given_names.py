@@ -32,12 +32,7 @@ def refuse_unknown_names(node: Node, args: Sequence[str]) -> None:
     """Refuse parameters that do not exist, after a node has declared those that do.
 
     A section of a file for any node, such as ``/**``, may name parameters of another node of the
-    suite; what is given to this node alone may not.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such parameter; the text names the closest.
+    suite; what is given to this node alone may not. The ConfigError names the closest.
     """
     # rclpy has no public name for what the command line and the parameter files say.
     unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)]

@@ -29,13 +29,7 @@ PARAMETER_EVENTS = Topic.of(contract.PARAMETER_EVENTS, qos_profile_parameter_eve
 
 
 def own_parameters(node: Node) -> ParameterEvent:
-    """Make an event of all parameters of a node.
-
-    Returns
-    -------
-    rcl_interfaces.msg.ParameterEvent
-        Without a stamp.
-    """
+    """Make an event of all parameters of a node, without a stamp."""
     names = node.list_parameters([], 0).names
     parameters = [parameter.to_parameter_msg() for parameter in node.get_parameters(names)]
     return ParameterEvent(node=node.get_fully_qualified_name(), new_parameters=parameters)
@@ -44,14 +38,7 @@ def own_parameters(node: Node) -> ParameterEvent:
 class ParameterFetch:
     """Asks a node for all its parameters whenever it appears in the graph.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Who asks.
-    target : str
-        Fully qualified name of the node to ask.
-    on_parameters : callable
-        Gets the answer as an event, without a stamp.
+    The target is its fully qualified name; the answer is an event without a stamp.
     """
 
     def __init__(

@@ -35,28 +35,13 @@ M = TypeVar("M", bound=YamlModel)
 class ModelParameters(Generic[M]):
     """The parameters of a node, held together by the configuration that they make up.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Whose parameters they are.
-    model_type : type
-        The configuration; its defaults are the parameters' defaults.
-    presets : mapping, optional
-        Top-level fields that are one string, a preset's name or the path of a YAML file, with
-        the default name.
-    dynamic : collection of str
-        Names of the parameters that may change while the node runs, the name of a nested model
-        standing for all that is in it; all others are read-only.
-    settle : callable, optional
-        Maps the configuration at start to the one to use; what it changes is set before
-        parameters become read-only. For values that are drawn or computed once.
-    on_change : callable, optional
-        Gets the new configuration after a dynamic parameter was set.
+    Its defaults are theirs; for ``presets`` and ``dynamic`` see `declarations`, all parameters
+    that are not dynamic are read-only. ``settle`` maps the configuration at start to the one to
+    use, for values that are drawn or computed once; what it changes is set before parameters
+    become read-only. ``on_change`` gets the new configuration after a dynamic parameter was set.
 
-    Raises
-    ------
-    ConfigError
-        If a value from the command line or a parameter file has a wrong type or is refused.
+    Raises ConfigError if a value from the command line or a parameter file has a wrong type or is
+    refused.
     """
 
     def __init__(

@@ -49,27 +49,13 @@ def run(
     args: list[str] | None = None,
     make_executor: Callable[[], Executor] = SingleThreadedExecutor,
 ) -> int:
-    """Run one node until it is told to stop.
+    """Run one node until it is told to stop, and return the exit code.
 
-    Parameters
-    ----------
-    make_node : callable
-        Makes the node, managed by its lifecycle services or not, as ``--managed`` among the
-        arguments says; a ConfigError is reported in one line.
-    args : list of str, optional
-        Command line with ROS arguments; ``sys.argv`` if left out.
-    make_executor : callable
-        Makes what calls the node back: `PROMPT` in the control loop.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after SIGINT, SIGTERM or the node's own end, 2 for bad input.
-
-    Raises
-    ------
-    SystemExit
-        With ``--help``, and for an argument that does not exist.
+    It is 0 after SIGINT, SIGTERM or the node's own end, 2 for bad input: a ConfigError is reported
+    in one line. ``make_node`` is told whether the node is managed by its lifecycle services, as
+    ``--managed`` among the arguments says, ``sys.argv`` if none are given; what calls it back in
+    the control loop is `PROMPT`. Raises SystemExit with ``--help``, and for an argument that does
+    not exist.
     """
     command_line = sys.argv[1:] if args is None else args
     managed = _is_managed(make_node, command_line)

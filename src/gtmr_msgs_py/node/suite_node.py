@@ -22,15 +22,9 @@ from gtmr_msgs_py.node.parameter_events import PARAMETER_EVENTS, own_parameters
 class SuiteNode(LifecycleNode):
     """The base of the suite's nodes: declares in the constructor, allocates, then connects.
 
-    A plain node does all three at once. A managed one allocates when it is configured and connects
-    when it is activated; while it is not active it hears nothing, and so publishes nothing.
-
-    Parameters
-    ----------
-    name : str
-        The node's name.
-    managed : bool
-        Whether lifecycle services say when to allocate and connect.
+    A plain node does all three at once. A managed one allocates when lifecycle services configure
+    it and connects when they activate it; while it is not active it hears nothing, and so
+    publishes nothing.
     """
 
     def __init__(self, name: str, managed: bool) -> None:
@@ -55,10 +49,7 @@ class SuiteNode(LifecycleNode):
     def start(self) -> None:
         """Do at once what lifecycle services else ask for.
 
-        Raises
-        ------
-        ConfigError
-            If a parameter cannot be used.
+        Raises ConfigError if a parameter cannot be used.
         """
         self.allocate()
         self.connect()
@@ -67,10 +58,7 @@ class SuiteNode(LifecycleNode):
     def allocate(self) -> None:
         """Make what takes time or memory, and the publishers.
 
-        Raises
-        ------
-        ConfigError
-            If a parameter cannot be used.
+        Raises ConfigError if a parameter cannot be used.
         """
         raise NotImplementedError
 

@@ -27,17 +27,8 @@ only wait for each other, on a busy machine for several times the step itself.""
 def ros_environment(domain_id: int | None = None) -> dict[str, str]:
     """Give the environment for nodes that shall find each other fast and nobody else.
 
-    What the caller's environment sets already stays, but for the domain.
-
-    Parameters
-    ----------
-    domain_id : int, optional
-        ROS_DOMAIN_ID, 0 to 101, to keep graphs on one machine apart; the caller's if left out.
-
-    Returns
-    -------
-    dict
-        The caller's environment with what the nodes need.
+    What the caller's environment sets already stays, but for ROS_DOMAIN_ID, 0 to 101, if one is
+    given: it keeps graphs on one machine apart.
     """
     environment = dict(os.environ)
     profile = Path(str(files("gtmr_msgs_py.start") / "fastdds.xml"))

@@ -23,10 +23,7 @@ from importlib import import_module
 def main() -> int:
     """Run the node whose module is the first argument, under the name that is the second.
 
-    Returns
-    -------
-    int
-        The node's exit code; 1 if something cannot be imported.
+    The exit code is the node's, or 1 if something cannot be imported.
     """
     module, *sys.argv = sys.argv[1:]
     for stop in (signal.SIGINT, signal.SIGTERM):

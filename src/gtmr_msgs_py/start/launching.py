@@ -118,22 +118,8 @@ def declare(arguments: Mapping[str, Argument]) -> list[DeclareLaunchArgument]:
 def values(arguments: Mapping[str, Argument], given: Mapping[str, str]) -> dict[str, Any]:
     """Read the arguments that were given, as what they are, before anything is started.
 
-    Parameters
-    ----------
-    arguments : mapping
-        By name.
-    given : mapping
-        Text by name, as ``context.launch_configurations`` has it; empty is not given.
-
-    Returns
-    -------
-    dict
-        Values by name.
-
-    Raises
-    ------
-    ValueError
-        If a text is not of the argument's kind, or a viewer is not installed.
+    ``given`` is text by name, as ``context.launch_configurations`` has it; empty is not given.
+    Raises ValueError if a text is not of the argument's kind, or a viewer is not installed.
     """
     read = {name: _value(name, a, given[name]) for name, a in arguments.items() if given[name]}
     for name, package in VIEWERS.items():
@@ -167,10 +153,8 @@ def _is_installed(package: str) -> bool:
 def required(event: ProcessExited, context: LaunchContext) -> list[Any]:
     """End the launch when a process has ended by itself, and as a failure if that failed.
 
-    Raises
-    ------
-    RuntimeError
-        If its exit code is not 0; `ros2 launch` then ends all others, and with exit code 1.
+    Raises RuntimeError if its exit code is not 0; `ros2 launch` then ends all others, and with
+    exit code 1.
     """
     if context.is_shutdown:
         return []
@@ -187,22 +171,9 @@ def node(
     below: str = "",
     on_exit: OnExit = required,
 ) -> Node:
-    """Start a node of the suite.
+    """Start ``sim``, ``nmpc`` or ``monitor`` with the values of a launch file's arguments.
 
-    Parameters
-    ----------
-    executable : str
-        ``sim``, ``nmpc`` or ``monitor``.
-    arguments : mapping
-        Of the launch file.
-    given : mapping
-        Their values.
-    parameters : mapping
-        Further parameters of this node, which win over what was given.
-    below : str
-        Namespace below the one that was given.
-    on_exit : callable
-        What follows its end.
+    Further parameters win over those; ``below`` is a namespace below the one that was given.
     """
     set_by_argument = {n: v for n, v in given.items() if executable in arguments[n].parameter_of}
     return Node(
@@ -250,10 +221,7 @@ def _place(given: Mapping[str, Any], below: str) -> dict[str, Any]:
 def parameter_file(name_or_path: str) -> str:
     """Find a parameter file by the name of one in ``config/ros``, or by a path to a ``.yaml``.
 
-    Raises
-    ------
-    ValueError
-        If there is none.
+    Raises ValueError if there is none.
     """
     presets = share() / "config" / "ros"
     is_path = name_or_path.endswith((".yaml", ".yml"))

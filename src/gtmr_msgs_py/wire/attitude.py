@@ -27,13 +27,7 @@ UNIT_TOLERANCE = 1e-3
 
 
 def encode(rpy: ArrayLike) -> Quaternion:
-    """Turn roll, pitch and yaw into a unit quaternion.
-
-    Parameters
-    ----------
-    rpy : array_like, shape (3,)
-        Roll, pitch, yaw [rad], of any size.
-    """
+    """Turn roll, pitch and yaw [rad], of any size, into a unit quaternion."""
     roll, pitch, yaw = (0.5 * float(angle) for angle in np.asarray(rpy))
     c_r, s_r = math.cos(roll), math.sin(roll)
     c_p, s_p = math.cos(pitch), math.sin(pitch)
@@ -47,21 +41,9 @@ def encode(rpy: ArrayLike) -> Quaternion:
 
 
 def rotation(quaternion: Quaternion) -> NDArray[np.float64]:
-    """Turn a quaternion into a rotation matrix from body to world.
+    """Turn a quaternion into a rotation matrix from body to world, shape (3, 3).
 
-    Parameters
-    ----------
-    quaternion : geometry_msgs.msg.Quaternion
-        Of unit norm but for rounding.
-
-    Returns
-    -------
-    NDArray, shape (3, 3)
-
-    Raises
-    ------
-    MessageError
-        If the norm is not one, or not a number.
+    Raises MessageError if its norm is not one but for rounding, or not a number.
     """
     x, y, z, w = quaternion.x, quaternion.y, quaternion.z, quaternion.w
     norm = math.sqrt(x * x + y * y + z * z + w * w)
@@ -78,17 +60,9 @@ def rotation(quaternion: Quaternion) -> NDArray[np.float64]:
 
 
 def roll_pitch_yaw(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Turn a rotation matrix from body to world into roll, pitch and yaw.
+    """Turn a rotation matrix from body to world, Rz(yaw) Ry(pitch) Rx(roll), into three angles.
 
-    Parameters
-    ----------
-    rotation : NDArray, shape (3, 3)
-        Rz(yaw) Ry(pitch) Rx(roll).
-
-    Returns
-    -------
-    NDArray, shape (3,)
-        [rad]; roll and yaw within -pi to pi, pitch within -pi/2 to pi/2.
+    Roll and yaw are within -pi to pi, pitch within -pi/2 to pi/2 [rad].
     """
     r = rotation
     return np.array(

@@ -31,13 +31,7 @@ FLOAT64 = np.dtype("<f8")
 
 
 class FixedCdr:
-    """The bytes of a message that begins with a header; write its fields in their order.
-
-    Parameters
-    ----------
-    frame_id : str
-        Of the header.
-    """
+    """The bytes of a message that begins with a header; write its fields in their order."""
 
     def __init__(self, frame_id: str = "") -> None:
         self._bytes = bytearray(CDR_LITTLE_ENDIAN + bytes(STAMP.size))
@@ -69,19 +63,9 @@ class FixedCdr:
         self._bytes += bytes(count * FLOAT64.itemsize)
 
     def pack(self, stamp_ns: int, numbers: ArrayLike) -> bytes:
-        """Make a message.
+        """Make a message as CDR bytes, which a publisher takes in its place.
 
-        Parameters
-        ----------
-        stamp_ns : int
-            Of the header [ns].
-        numbers : array_like, shape (M,)
-            Every float64 of the message, in order.
-
-        Returns
-        -------
-        bytes
-            CDR, which a publisher takes in place of a message.
+        It has a stamp [ns] in its header, and every float64 in order, shape (M,).
         """
         data = self._bytes.copy()
         STAMP.pack_into(data, len(CDR_LITTLE_ENDIAN), *divmod(stamp_ns, NANOSECONDS))
@@ -89,21 +73,9 @@ class FixedCdr:
         return bytes(data)
 
     def unpack(self, data: bytes) -> tuple[int, NDArray[np.float64]] | None:
-        """Read a message.
+        """Read the stamp [ns] and every float64 in order, shape (M,), of CDR bytes.
 
-        Parameters
-        ----------
-        data : bytes
-            CDR, as a raw subscription gets it.
-
-        Returns
-        -------
-        stamp_ns : int
-            Of the header [ns].
-        numbers : NDArray, shape (M,)
-            Every float64 of the message, in order.
-
-        Or None, if it differs from this message in anything else: then it has to be read as any
+        None if they differ from this message in anything else: then they have to be read as any
         message has.
         """
         if len(data) != len(self._bytes):

@@ -19,20 +19,11 @@ less far behind came late. No network holds a message back for so long."""
 
 
 def is_reset(stamp_ns: int, newest_ns: int) -> bool:
-    """Tell a world that began again from a message that came late.
+    """Tell a world that began again from a message that came late, by the newest stamp before.
 
-    Parameters
-    ----------
-    stamp_ns : int
-        Of a message [ns].
-    newest_ns : int
-        The newest stamp of all that came before [ns].
-
-    Returns
-    -------
-    bool
-        Whether it is more than `RESET_NS` behind, or back at time zero: there a simulated world
-        begins and waits to be answered, even if it was reset at once; a real clock never says so.
+    A stamp is of another world if it is more than `RESET_NS` behind, or back at time zero: there a
+    simulated world begins and waits to be answered, even if it was reset at once; a real clock
+    never says so.
     """
     return newest_ns - stamp_ns > RESET_NS or stamp_ns == 0 < newest_ns
 

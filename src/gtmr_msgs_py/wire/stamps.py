@@ -20,35 +20,17 @@ NANOSECONDS = 1_000_000_000
 
 
 def nanoseconds(time_s: float) -> int:
-    """Round seconds to whole nanoseconds.
-
-    Returns
-    -------
-    int
-        [ns].
-    """
+    """Round seconds to whole nanoseconds."""
     return round(time_s * NANOSECONDS)
 
 
 def seconds(time_ns: int) -> float:
-    """Give the float nearest to a number of nanoseconds.
-
-    Returns
-    -------
-    float
-        [s].
-    """
+    """Give the float [s] nearest to a number of nanoseconds."""
     return time_ns / NANOSECONDS
 
 
 def encode(time_ns: int) -> Time:
-    """Make a stamp.
-
-    Parameters
-    ----------
-    time_ns : int
-        [ns], not negative.
-    """
+    """Make a stamp of a time [ns] that is not negative."""
     # Here alone is ROS needed: what reads stamps works without.
     from builtin_interfaces.msg import Time
 
@@ -57,11 +39,5 @@ def encode(time_ns: int) -> Time:
 
 
 def decode(stamp: Time | Duration) -> int:
-    """Read a stamp or a duration.
-
-    Returns
-    -------
-    int
-        [ns].
-    """
+    """Read a stamp or a duration [ns]."""
     return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
