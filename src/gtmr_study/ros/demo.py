@@ -17,7 +17,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -79,8 +79,7 @@ def fly_in_ros(
             recorders="1",
             lockstep="true",
         )
-        with _onlooker(domain_id, mode, on_progress, live) as look:
-            look(sim)
+        _watch(domain_id, mode, sim, on_progress, live)
     return bag
 
 
@@ -139,27 +138,13 @@ def _nodes(domain_id: int, folder: Path) -> Iterator[Callable[..., list[_NodePro
         node.require_well()
 
 
-@dataclass
-class _View:
-    """What the onlooker has seen last."""
-
-    on_progress: OnProgress
-    time_s: float = 0.0
-    changed_at: float = field(default_factory=time.monotonic)
-
-    def on_clock(self, message: Clock) -> None:
-        time_s = stamps.seconds(stamps.decode(message.clock))
-        if time_s > self.time_s:
-            self.time_s, self.changed_at = time_s, time.monotonic()
-
-    def on_clearance(self, message: Range) -> None:
-        self.on_progress(self.time_s, message.range)
-
-
-@contextmanager
-def _onlooker(
-    domain_id: int, mode: str, on_progress: OnProgress, live: LiveView | None
-) -> Iterator[Callable[[list[_NodeProcess]], None]]:
+def _watch(
+    domain_id: int,
+    mode: str,
+    nodes: list[_NodeProcess],
+    on_progress: OnProgress,
+    live: LiveView | None,
+) -> None:
     """Watch a flight until the simulator, the node started last, ends."""
     # The profile is read when the first participant of a process is made.
     os.environ.update(ros_environment(domain_id))
@@ -168,27 +153,32 @@ def _onlooker(
     node = rclpy.create_node("demo", context=context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
-    view = _View(on_progress)
-    topics.CLOCK.subscription(node, view.on_clock)
-    topics.CLEARANCE.subscription(node, view.on_clearance)
-    refresh = None if live is None else live.watch(node, mode)
+    time_s, changed_at = 0.0, time.monotonic()
 
-    def look(nodes: list[_NodeProcess]) -> None:
-        view.changed_at = time.monotonic()
+    def on_clock(message: Clock) -> None:
+        nonlocal time_s, changed_at
+        now_s = stamps.seconds(stamps.decode(message.clock))
+        if now_s > time_s:
+            time_s, changed_at = now_s, time.monotonic()
+
+    def on_clearance(message: Range) -> None:
+        on_progress(time_s, message.range)
+
+    try:
+        topics.CLOCK.subscription(node, on_clock)
+        topics.CLEARANCE.subscription(node, on_clearance)
+        refresh = None if live is None else live.watch(node, mode)
         while nodes[-1].process.poll() is None:
             executor.spin_once(timeout_sec=0.1)
             if refresh is not None:
                 refresh()
             for each in nodes:
                 each.require_well()
-            if time.monotonic() - view.changed_at > STALL_TIMEOUT_S:
+            if time.monotonic() - changed_at > STALL_TIMEOUT_S:
                 raise DemoError(
-                    f"simulated time stands still at {view.time_s:g} s (see {nodes[-1].log})"
+                    f"simulated time stands still at {time_s:g} s (see {nodes[-1].log})"
                 )
         nodes[-1].require_well()
-
-    try:
-        yield look
     finally:
         node.destroy_node()
         executor.shutdown()

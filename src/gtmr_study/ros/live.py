@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -75,7 +76,8 @@ class _Flight:
         for topic in SHOWN:
             # Bytes, since of most messages nothing is drawn: reading them would cost more than
             # drawing does.
-            topic.subscription(node, self._keep(topic), topics.NEWEST, raw=True)
+            keep = partial(self._newest.__setitem__, topic.name)
+            topic.subscription(node, keep, topics.NEWEST, raw=True)
         topics.CLOCK.subscription(node, self._on_clock)
         topics.CLEARANCE_RESIDUAL.subscription(node, self._on_residual)
 
@@ -92,12 +94,6 @@ class _Flight:
         if now - self._shown_at >= CURVE_PERIOD_S:
             self._shown_at = now
             self._view.page.show(self._mode, self._margin_m)
-
-    def _keep(self, topic: Topic) -> Callable[[bytes], None]:
-        def keep(message: bytes) -> None:
-            self._newest[topic.name] = message
-
-        return keep
 
     def _take(self, topic: Topic) -> Any:
         message = self._newest.pop(topic.name, None)

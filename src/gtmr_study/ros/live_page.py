@@ -19,7 +19,6 @@ import itertools
 import math
 from collections.abc import Iterable, Sequence
 from contextlib import redirect_stdout
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -53,25 +52,6 @@ SEAMS = 8
 JOINT_COLOR = (150, 150, 146)
 
 
-@dataclass
-class _Curve:
-    """The residual of a flight over time, at an even step."""
-
-    residual: NDArray[np.float64]
-    """The largest in each share of time, NaN where there is none yet [m]."""
-    standing: Standing = field(default_factory=Standing)
-
-
-@dataclass
-class _Drawn:
-    """A marker on the page."""
-
-    handle: Any
-    """What viser has for it."""
-    properties: dict[str, Any]
-    """As the page has them."""
-
-
 class LivePage:
     """A page in the browser that shows what it is given, to whoever opens it and whenever.
 
@@ -81,9 +61,12 @@ class LivePage:
     def __init__(self, duration_s: float, modes: Sequence[str], min_clearance_m: float) -> None:
         self._duration_s = duration_s
         self._min_clearance_m = min_clearance_m
-        self._curves = {mode: _Curve(np.full(CURVE_POINTS, np.nan)) for mode in modes}
+        # The largest residual in each share of time, NaN where there is none yet [m].
+        self._curves = {mode: np.full(CURVE_POINTS, np.nan) for mode in modes}
+        self._standings = {mode: Standing() for mode in modes}
         self._range = RESIDUAL_RANGE_M
-        self._drawn: dict[str, _Drawn] = {}
+        # What viser has for a marker, and its properties as the page has them.
+        self._drawn: dict[str, tuple[Any, dict[str, Any]]] = {}
         # viser prints where it listens, and that it stops, whatever it is told.
         with redirect_stdout(io.StringIO()):
             self._server = viser.ViserServer(LOOPBACK, PORT, "gtmr live", verbose=False)
@@ -147,20 +130,15 @@ class LivePage:
         """Note a residual s [m] at a time [s] since the start; ``show`` shows it."""
         curve = self._curves[mode]
         i = min(int(CURVE_POINTS * time_s / self._duration_s), CURVE_POINTS - 1)
-        curve.residual[i] = np.fmax(curve.residual[i], residual_m)
-        curve.standing.add(time_s, residual_m)
+        curve[i] = np.fmax(curve[i], residual_m)
+        self._standings[mode].add(time_s, residual_m)
 
     def show(self, mode: str, margin_m: float) -> None:
         """Bring curve and numbers up to date; the margin is the largest of the plan [m]."""
         self._status.content = status(
-            {name: curve.standing for name, curve in self._curves.items()},
-            mode,
-            margin_m,
-            self._min_clearance_m,
-            self._duration_s,
+            self._standings, mode, margin_m, self._min_clearance_m, self._duration_s
         )
-        curves = [curve.residual for curve in self._curves.values()]
-        seen = np.concatenate([curve[np.isfinite(curve)] for curve in curves])
+        seen = np.concatenate([curve[np.isfinite(curve)] for curve in self._curves.values()])
         if seen.size:
             low, high = self._range
             wanted = min(low, seen.min() - 0.02), max(high, seen.max() + 0.02)
@@ -218,7 +196,7 @@ class LivePage:
 
     def _data(self) -> tuple[NDArray[np.float64], ...]:
         time_s = (np.arange(CURVE_POINTS) + 0.5) * self._duration_s / CURVE_POINTS
-        curves = [curve.residual.copy() for curve in self._curves.values()]
+        curves = [curve.copy() for curve in self._curves.values()]
         return (time_s, *curves, np.zeros(CURVE_POINTS))
 
     def _scales(self) -> dict[str, Any]:
@@ -231,13 +209,13 @@ class LivePage:
         name = f"{parent}/{marker.ns}/{marker.id}"
         properties = _properties(marker)
         if name not in self._drawn:
-            self._drawn[name] = _Drawn(self._add(name, marker, properties), properties)
+            self._drawn[name] = self._add(name, marker, properties), properties
             return
-        drawn = self._drawn[name]
+        handle, shown = self._drawn[name]
         for prop, value in properties.items():
-            if not np.array_equal(value, drawn.properties[prop]):
-                setattr(drawn.handle, prop, value)
-        drawn.properties = properties
+            if not np.array_equal(value, shown[prop]):
+                setattr(handle, prop, value)
+        self._drawn[name] = handle, properties
 
     def _add(self, name: str, marker: Marker, properties: dict[str, Any]) -> Any:
         scene = self._server.scene

@@ -15,34 +15,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from gtmr_monitor.report import look
+from gtmr_monitor.residual import ResidualWatch
 from gtmr_msgs_py.messages import markers
 
 
 @dataclass
-class Standing:
+class Standing(ResidualWatch):
     """How a flight has gone so far."""
 
     time_s: float = 0.0
     """Of the last sample [s]."""
-    residual_m: float = math.nan
-    """The last residual s = d_min - d_T [m]."""
-    worst_m: float = -math.inf
-    """The largest residual [m]."""
 
     def add(self, time_s: float, residual_m: float) -> None:
         """Note a residual [m] at a time [s] since the start of the flight."""
-        self.time_s, self.residual_m = time_s, residual_m
-        self.worst_m = max(self.worst_m, residual_m)
-
-    @property
-    def flown(self) -> bool:
-        """Whether there is a sample yet."""
-        return math.isfinite(self.residual_m)
-
-    @property
-    def violated(self) -> bool:
-        """Whether the vehicle was ever too close."""
-        return self.worst_m > 0.0
+        self.time_s = time_s
+        self.update(residual_m)
 
 
 def status(
@@ -59,6 +46,8 @@ def status(
     """
     now = standings[mode]
     share = 100.0 * min(now.time_s / duration_s, 1.0)
+    clearance_m = min_clearance_m - now.current_m
+    clearance = f"{clearance_m:.2f} m" if math.isfinite(clearance_m) else "…"
     rows = "".join(
         f'<tr><th scope="row">{_swatch(look.MODE_COLOURS[name])}{name}</th>'
         f"{_row(standing, min_clearance_m)}</tr>"
@@ -69,7 +58,7 @@ def status(
 <span>{now.time_s:.1f} of {duration_s:g} s</span></div>
 <div class="bar"><div style="width:{share:.1f}%;background:{look.MODE_COLOURS[mode]}"></div></div>
 <div class="tiles">
-<div><b class="{"bad" if now.residual_m > 0.0 else ""}">{_metres(min_clearance_m, now)}</b>
+<div><b class="{"bad" if now.current_m > 0.0 else ""}">{clearance}</b>
 clearance</div>
 <div><b>{min_clearance_m:.2f} m</b>least allowed</div>
 <div><b>{margin_m:.3f} m</b>tightening</div>
@@ -79,14 +68,10 @@ clearance</div>
 
 
 def _row(standing: Standing, min_clearance_m: float) -> str:
-    if not standing.flown:
+    if not math.isfinite(standing.current_m):
         return "<td>to be flown</td><td></td>"
-    verdict = '<strong class="bad">yes</strong>' if standing.violated else "no"
+    verdict = '<strong class="bad">yes</strong>' if standing.violations else "no"
     return f"<td>{min_clearance_m - standing.worst_m:.3f} m</td><td>{verdict}</td>"
-
-
-def _metres(min_clearance_m: float, standing: Standing) -> str:
-    return f"{min_clearance_m - standing.residual_m:.2f} m" if standing.flown else "…"
 
 
 def _swatch(colour: str, opacity: float = 1.0) -> str:

@@ -78,9 +78,11 @@ def read_playlist(path: str | Path, everything: bool = False) -> Playlist:
     there: dict[str, str] = {}
     types: dict[str, str] = {}
     times: list[int] = []
+    played = {(topic.name.lstrip("/"), topic.type_name) for topic in PLAYED}
     for message in read_messages(path):
         there[message.topic] = message.msgtype
-        if everything or _is_played(message):
+        kind = (message.topic.rpartition("/")[2], message.msgtype)
+        if everything or kind in played:
             types[message.topic] = message.msgtype
             times.append(message.log_time_ns)
     if not set(types.values()) - {topics.CLOCK.type_name}:
@@ -113,7 +115,14 @@ def play(
     Raises BagError if a message type of the playlist is not installed.
     """
     stop = stop if stop is not None else Event()
-    messages = {name: _message_class(playlist, kind) for name, kind in playlist.types.items()}
+    messages = {}
+    for name, kind in playlist.types.items():
+        try:
+            messages[name] = topics.message_class(kind)
+        except ImportError:
+            raise BagError(
+                f"{playlist.path}: {kind} is not installed, so cannot be played"
+            ) from None
     with _node() as node:
         publishers = {
             name: node.create_publisher(message, name, topics.OFFERED)
@@ -129,28 +138,21 @@ def play(
         if unheard:
             notes.append(f"nobody listened at the start to {', '.join(unheard)}")
         while True:
-            _play_once(playlist, publishers, clock, rate, on_progress, stop)
+            begin = time.monotonic()
+            for message in playlist.messages():
+                into_s = stamps.seconds(message.log_time_ns - playlist.start_ns)
+                if stop.wait(max(0.0, begin + into_s / rate - time.monotonic())):
+                    break
+                if clock is not None:
+                    clock.publish(Clock(clock=stamps.encode(message.log_time_ns)))
+                publishers[message.topic].publish(message.data)
+                if on_progress is not None:
+                    on_progress(into_s)
             if not loop or stop.is_set():
                 break
         for publisher in publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=DELIVERY_TIMEOUT_S))
     return notes
-
-
-def _is_played(message: BagMessage) -> bool:
-    name = message.topic.rpartition("/")[2]
-    return any(
-        name == topic.name.lstrip("/") and message.msgtype == topic.type_name for topic in PLAYED
-    )
-
-
-def _message_class(playlist: Playlist, msgtype: str) -> type:
-    try:
-        return topics.message_class(msgtype)
-    except ImportError:
-        raise BagError(
-            f"{playlist.path}: {msgtype} is not installed, so cannot be played"
-        ) from None
 
 
 @contextmanager
@@ -179,23 +181,3 @@ def _wait_for_listeners(publishers: list[Publisher], wait_s: float, stop: Event)
         unheard = [p.topic_name for p in publishers if p.get_subscription_count() == 0]
         if not unheard or time.monotonic() > deadline or stop.wait(POLL_S):
             return unheard
-
-
-def _play_once(
-    playlist: Playlist,
-    publishers: dict[str, Publisher],
-    clock: Publisher | None,
-    rate: float,
-    on_progress: OnProgress | None,
-    stop: Event,
-) -> None:
-    begin = time.monotonic()
-    for message in playlist.messages():
-        into_s = stamps.seconds(message.log_time_ns - playlist.start_ns)
-        if stop.wait(max(0.0, begin + into_s / rate - time.monotonic())):
-            return
-        if clock is not None:
-            clock.publish(Clock(clock=stamps.encode(message.log_time_ns)))
-        publishers[message.topic].publish(message.data)
-        if on_progress is not None:
-            on_progress(into_s)
