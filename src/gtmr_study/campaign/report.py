@@ -15,6 +15,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
+
 from gtmr_monitor.report.drawing import inline_svg, save
 from gtmr_monitor.report.html import page, signed, table
 from gtmr_study.campaign.figures import Campaign, figures_of, mode_colour, why_no_channels
@@ -42,11 +44,7 @@ def write_campaign_report(folders: Sequence[Path], out_html: Path) -> list[Path]
     names = ", ".join(campaign.name for campaign in campaigns)
     body = "\n".join(campaign_section(campaign) for campaign in campaigns)
     out_html.write_text(page(f"Campaign {names}", body), encoding="utf-8")
-    return [out_html, *_write_figures(campaigns, out_html)]
-
-
-def _write_figures(campaigns: Sequence[Campaign], out_html: Path) -> list[Path]:
-    paths = []
+    paths = [out_html]
     for number, campaign in enumerate(campaigns, start=1):
         # One campaign's figures need no number.
         prefix = out_html.stem if len(campaigns) == 1 else f"{out_html.stem}-{number}"
@@ -70,10 +68,7 @@ def campaign_section(campaign: Campaign) -> str:
     flown = {mode: s for mode, s in summary.items() if s["trials"]}
     if not flown:
         return f"<h2>{escape(campaign.name)}</h2>{warnings}<p>No trial has flown yet.</p>"
-    figures = "\n".join(
-        f'<figure id="{name}">{inline_svg(draw)}</figure>\n<p>{CAPTIONS[name]}</p>'
-        for name, draw in figures_of(campaign).items()
-    )
+    figures = figures_html(figures_of(campaign), CAPTIONS)
     heads = [(mode, mode_colour(mode)) for mode in flown]
     return f"""<h2>{escape(campaign.name)}</h2>
 {warnings}
@@ -85,6 +80,14 @@ def campaign_section(campaign: Campaign) -> str:
 </div>
 {figures}
 <p>{why_no_channels(campaign)}</p>"""
+
+
+def figures_html(drawn: dict[str, Callable[[], Figure]], captions: dict[str, str]) -> str:
+    """Put figures into a page, each with its explanation below, both by the figure's name."""
+    return "\n".join(
+        f'<figure id="{name}">{inline_svg(draw)}</figure>\n<p>{captions[name]}</p>'
+        for name, draw in drawn.items()
+    )
 
 
 def _residual(key: str) -> Value:

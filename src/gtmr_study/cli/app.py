@@ -22,7 +22,7 @@ from gtmr_study.cli.demo import demo_command
 from gtmr_study.cli.export import export_c_command
 from gtmr_study.cli.fly import fly_command
 from gtmr_study.cli.replay import play_command, replay_command, truncation_told
-from gtmr_study.cli.terminal import complain, console, exit_code_of
+from gtmr_study.cli.terminal import complain, console, exit_code_of, option
 from gtmr_study.result_files import InputError, require_new_file
 
 app = typer.Typer(
@@ -46,15 +46,13 @@ app.command("play")(play_command)
 @app.command("report")
 def report_command(
     paths: Annotated[
-        list[Path],
-        typer.Argument(metavar="PATH...", help="Bags, or folders of campaigns."),
+        list[Path], typer.Argument(metavar="PATH...", help="Bags, or folders of campaigns.")
     ],
-    out: Annotated[
-        Path, typer.Option(metavar="FILE.html", help="The report; figures go beside it.")
-    ] = Path("report.html"),
+    out: Annotated[Path, option("FILE.html", "The report; figures go beside it.")] = Path(
+        "report.html"
+    ),
     vehicle: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Of bags with several vehicles, only this one."),
+        str | None, option("NAME", "Of bags with several vehicles, only this one.")
     ] = None,
 ) -> None:
     """Make one self-contained HTML report, and PNG figures, of bags or of campaigns."""

@@ -12,13 +12,12 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
 from gtmr_nmpc import ControllerConfig
-from gtmr_study.cli.terminal import JsonOption, console
+from gtmr_study.cli.terminal import JsonOption, console, option
 from gtmr_study.result_files import require_folder_of, write_json
 from gtmr_study.rivals.bench import (
     CONTROLLERS,
@@ -33,12 +32,9 @@ COLUMNS = ("median", "p99", "p99.9", "max")
 
 
 def bench_command(
-    steps: Annotated[
-        int, typer.Option(metavar="N", min=100, help="Steps of the controller a situation.")
-    ] = 4000,
+    steps: Annotated[int, option("N", "Steps of the controller a situation.", min=100)] = 4000,
     rival_steps: Annotated[
-        int,
-        typer.Option(metavar="N", min=0, help="Steps of general solvers a situation; 0: none."),
+        int, option("N", "Steps of general solvers a situation; 0: none.", min=0)
     ] = 40,
     json: JsonOption = None,
 ) -> None:

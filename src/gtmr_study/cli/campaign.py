@@ -30,6 +30,7 @@ from gtmr_study.cli.terminal import (
     complain,
     console,
     figures,
+    option,
     print_columns,
     progress,
 )
@@ -39,55 +40,38 @@ from gtmr_study.result_files import InputError, require_folder_of, write_json
 PAPER_SCENARIO = "paper"
 """Preset of the paper's study."""
 
-SeedOption = Annotated[int | None, typer.Option(metavar="K", help="Seed.  [0]")]
+SeedOption = Annotated[int | None, option("K", "Seed.  [0]")]
 WorkersOption = Annotated[
-    int | None,
-    typer.Option(metavar="W", min=1, help="Processes on this machine.  [one per processor]"),
+    int | None, option("W", "Processes on this machine.  [one per processor]", min=1)
 ]
 SchedulerOption = Annotated[
-    str | None,
-    typer.Option(metavar="ADDRESS", help="A running Dask scheduler, as tcp://host:8786."),
+    str | None, option("ADDRESS", "A running Dask scheduler, as tcp://host:8786.")
 ]
 
 
 def campaign_command(
     out: Annotated[
         Path,
-        typer.Option(
-            metavar="DIR",
-            help="Folder of results: new, empty, or of the same campaign to go on with.",
-        ),
+        option("DIR", "Folder of results: new, empty, or of the same campaign to go on with."),
     ],
     trials: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Trials.  [500, or every point of the plan once]"),
+        int | None, option("N", "Trials.  [500, or every point of the plan once]")
     ] = None,
     seed: SeedOption = None,
-    modes: Annotated[
-        str | None, typer.Option(metavar="MODE,...", help="Which modes fly.  [nominal,robust]")
-    ] = None,
-    duration: Annotated[
-        float | None, typer.Option(metavar="S", help="Length of a flight [s].  [50]")
-    ] = None,
-    plan: Annotated[
-        str | None, typer.Option(metavar="|".join(PLAN_KINDS), help="Mismatches.  [random]")
-    ] = None,
+    modes: Annotated[str | None, option("MODE,...", "Which modes fly.  [nominal,robust]")] = None,
+    duration: Annotated[float | None, option("S", "Length of a flight [s].  [50]")] = None,
+    plan: Annotated[str | None, option("|".join(PLAN_KINDS), "Mismatches.  [random]")] = None,
     channels: Annotated[
-        str | None,
-        typer.Option(metavar="A,B", help="Channels that a grid or one-at-a-time varies."),
+        str | None, option("A,B", "Channels that a grid or one-at-a-time varies.")
     ] = None,
-    levels: Annotated[
-        int | None, typer.Option(metavar="L", help="Values of a varied channel.  [5]")
-    ] = None,
-    gust: Annotated[
-        str | None, typer.Option(metavar="|".join(GUST_KINDS), help="Gusts.  [ou]")
-    ] = None,
+    levels: Annotated[int | None, option("L", "Values of a varied channel.  [5]")] = None,
+    gust: Annotated[str | None, option("|".join(GUST_KINDS), "Gusts.  [ou]")] = None,
     controller: Annotated[str | None, CONTROLLER_OR_OWN] = None,
     scenario: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME|YAML",
-            help="The study as a file, or a preset under config/scenario; options win over it.",
+        option(
+            "NAME|YAML",
+            "The study as a file, or a preset under config/scenario; options win over it.",
         ),
     ] = None,
     workers: WorkersOption = None,
@@ -109,8 +93,8 @@ def campaign_command(
         modes=None if modes is None else modes.split(","),
         duration_s=duration,
         controller=None if own else controller,
-        plan=_changes(kind=plan, channels=varied, levels=levels),
-        gust=_changes(kind=gust),
+        plan={"kind": plan, "channels": varied, "levels": levels},
+        gust={"kind": gust},
     )
     from gtmr_study.campaign.figures import Campaign, why_no_channels, write_figures
     from gtmr_study.campaign.run import fly_campaign
@@ -127,18 +111,14 @@ def campaign_command(
 def reproduce_command(
     out: Annotated[
         Path,
-        typer.Option(
-            metavar="DIR",
-            help="Folder of results: new, empty, or of the same reproduction to go on with.",
-        ),
+        option("DIR", "Folder of results: new, empty, or of the same reproduction to go on with."),
     ] = Path("reproduction"),
     quick: Annotated[
         bool, typer.Option("--quick", help="24 trials instead of 500: about a minute.")
     ] = False,
     seed: SeedOption = None,
     scenario: Annotated[
-        str,
-        typer.Option(metavar="NAME|YAML", help="Preset or file under config/scenario."),
+        str, option("NAME|YAML", "Preset or file under config/scenario.")
     ] = PAPER_SCENARIO,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
@@ -166,25 +146,22 @@ def reproduce_command(
 
 
 def calibrate_command(
-    out: Annotated[
-        Path,
-        typer.Option(metavar="DIR", help="Folder of a search: new, empty, or to go on with."),
-    ],
+    out: Annotated[Path, option("DIR", "Folder of a search: new, empty, or to go on with.")],
     target: Annotated[
-        str, typer.Option(metavar="nominal|both", help="Which rows of the paper to come close to.")
+        str, option("nominal|both", "Which rows of the paper to come close to.")
     ] = "nominal",
     sets: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            min=1,
-            help="Sets of values in all, the shipped presets first.  [120, or 60 for both: some "
+        option(
+            "N",
+            "Sets of values in all, the shipped presets first.  [120, or 60 for both: some "
             "twelve minutes on two cores]",
+            min=1,
         ),
     ] = None,
-    trials: Annotated[int, typer.Option(metavar="N", min=1, help="Trials of a set.")] = 32,
+    trials: Annotated[int, option("N", "Trials of a set.", min=1)] = 32,
     duration: DurationOption = 50.0,
-    seed: Annotated[int, typer.Option(metavar="K", help="Seed of trials and search.")] = 0,
+    seed: Annotated[int, option("K", "Seed of trials and search.")] = 0,
     workers: WorkersOption = None,
     json: JsonOption = None,
 ) -> None:
@@ -216,12 +193,12 @@ def calibrate_command(
 def with_options(study: Study, **changes: Any) -> Study:
     """Lay what the command line says over a study; ConfigError if a value is not allowed.
 
-    None keeps what the study says, and so does what a dict leaves out.
+    None keeps what the study says, in a dict as well.
     """
     data = study.model_dump()
     for name, value in changes.items():
         if isinstance(value, dict):
-            data[name] = data[name] | value
+            data[name] |= {field: given for field, given in value.items() if given is not None}
         elif value is not None:
             data[name] = value
     return Study.parse(data, "campaign")
@@ -242,10 +219,6 @@ def print_summary(summary: dict[str, Any]) -> None:
     for mode, s in summary.items():
         if s["errors"]:
             complain(f"{mode}: {s['errors']} trials raised; their rows say why")
-
-
-def _changes(**fields: Any) -> dict[str, Any]:
-    return {name: value for name, value in fields.items() if value is not None}
 
 
 def _require_one(workers: int | None, scheduler: str | None) -> None:

@@ -26,6 +26,7 @@ from gtmr_study.cli.terminal import (
     complain,
     console,
     needs_ros,
+    option,
     progress,
     require_choice,
 )
@@ -38,13 +39,10 @@ if TYPE_CHECKING:
 def demo_command(
     duration: DurationOption = 50.0,
     modes: Annotated[
-        str, typer.Option(metavar="MODE,...", help="Which modes to fly, one after the other.")
+        str, option("MODE,...", "Which modes to fly, one after the other.")
     ] = ",".join(MODES),
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Folder of bags and report; new or empty.  [bags/demo-*]"
-        ),
+        Path | None, option("DIR", "Folder of bags and report; new or empty.  [bags/demo-*]")
     ] = None,
     live: Annotated[
         bool, typer.Option("--live", help="Show the flights on a page in the browser.")

@@ -18,7 +18,7 @@ import typer
 from gtmr_codegen.library import CompileError
 from gtmr_model import Vehicle
 from gtmr_nmpc import ControllerConfig
-from gtmr_study.cli.terminal import VehicleOption, console
+from gtmr_study.cli.terminal import VehicleOption, console, option
 from gtmr_study.export.project import export_c
 from gtmr_study.result_files import InputError, require_empty_folder
 
@@ -26,7 +26,7 @@ from gtmr_study.result_files import InputError, require_empty_folder
 def export_c_command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="New or empty folder.")],
     controller: Annotated[
-        str, typer.Option(metavar="NAME|YAML", help="Preset or file under config/controller.")
+        str, option("NAME|YAML", "Preset or file under config/controller.")
     ] = "default",
     vehicle: VehicleOption = None,
 ) -> None:

@@ -29,6 +29,7 @@ from gtmr_study.cli.terminal import (
     VehicleOption,
     console,
     figures,
+    option,
     print_columns,
     progress,
     require_choice,
@@ -40,27 +41,23 @@ Zeta = tuple[float, float, float, float, float, float, float, float, float]
 
 
 def fly_command(
-    mode: Annotated[
-        str | None, typer.Option(metavar="|".join(MODES), help="Controller.  [robust]")
-    ] = None,
-    seed: Annotated[int, typer.Option(metavar="K", help="Seed of gusts and of --sample.")] = 0,
+    mode: Annotated[str | None, option("|".join(MODES), "Controller.  [robust]")] = None,
+    seed: Annotated[int, option("K", "Seed of gusts and of --sample.")] = 0,
     duration: DurationOption = 50.0,
     zeta: Annotated[
         Zeta | None,
-        typer.Option(
-            metavar="9 NUMBERS",
-            help="True mismatch: mass, J_x, J_y, J_z, thrust, drag [-], wind bias x, y, z [N].",
+        option(
+            "9 NUMBERS",
+            "True mismatch: mass, J_x, J_y, J_z, thrust, drag [-], wind bias x, y, z [N].",
         ),
     ] = None,
     sample: Annotated[
         bool, typer.Option("--sample", help="Draw the true mismatch from its bounds by the seed.")
     ] = False,
-    gust: Annotated[str, typer.Option(metavar="|".join(GUST_KINDS), help="Gusts.")] = "ou",
+    gust: Annotated[str, option("|".join(GUST_KINDS), "Gusts.")] = "ou",
     vehicle: VehicleOption = None,
     controller: Annotated[str, CONTROLLER_OR_OWN] = "default",
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE.npz", help="Write the flight, row by row.")
-    ] = None,
+    out: Annotated[Path | None, option("FILE.npz", "Write the flight, row by row.")] = None,
     json: JsonOption = None,
 ) -> None:
     """Fly one closed loop in this process, without ROS."""

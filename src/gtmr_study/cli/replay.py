@@ -33,6 +33,7 @@ from gtmr_study.cli.terminal import (
     console,
     figures,
     needs_ros,
+    option,
     progress,
     require_choice,
 )
@@ -49,35 +50,21 @@ BagArgument = Annotated[Path, typer.Argument(metavar="BAG", help="A bag folder o
 def replay_command(
     bag: BagArgument,
     mode: Annotated[
-        str | None,
-        typer.Option(metavar="|".join(MODES), help="Controller throughout.  [as recorded]"),
+        str | None, option("|".join(MODES), "Controller throughout.  [as recorded]")
     ] = None,
-    odom: Annotated[
-        str | None,
-        typer.Option(metavar="TOPIC", help="Odometry, where it is not named odom."),
-    ] = None,
+    odom: Annotated[str | None, option("TOPIC", "Odometry, where it is not named odom.")] = None,
     rotors: Annotated[
-        str | None,
-        typer.Option(metavar="TOPIC", help="Rotor speeds, where not named rotor_states."),
+        str | None, option("TOPIC", "Rotor speeds, where not named rotor_states.")
     ] = None,
     controller: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME|YAML",
-            help="Preset or file under config/controller.  [recorded parameters]",
-        ),
+        option("NAME|YAML", "Preset or file under config/controller.  [recorded parameters]"),
     ] = None,
     vehicle: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|YAML", help="Preset or file under config/vehicle.  [as recorded]"
-        ),
+        str | None, option("NAME|YAML", "Preset or file under config/vehicle.  [as recorded]")
     ] = None,
     report: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.html", help="Compare margins and plans, recorded and replayed."
-        ),
+        Path | None, option("FILE.html", "Compare margins and plans, recorded and replayed.")
     ] = None,
     json: JsonOption = None,
 ) -> None:
@@ -117,13 +104,9 @@ def replay_command(
 
 def play_command(
     bag: BagArgument,
-    rate: Annotated[
-        float, typer.Option(metavar="R", help="How many times as fast as recorded.")
-    ] = 1.0,
+    rate: Annotated[float, option("R", "How many times as fast as recorded.")] = 1.0,
     loop: Annotated[bool, typer.Option(help="Begin again at the end, until Ctrl-C.")] = False,
-    wait: Annotated[
-        float, typer.Option(metavar="S", help="How long to wait for listeners, at most [s].")
-    ] = 5.0,
+    wait: Annotated[float, option("S", "How long to wait for listeners, at most [s].")] = 5.0,
     everything: Annotated[
         bool,
         typer.Option(

@@ -31,16 +31,20 @@ INTERRUPTED = 130
 UsageError: type[Exception] = typer.BadParameter.__bases__[0]
 """What wrong options raise; from typer, since it may carry its own copy of click."""
 
+
+def option(metavar: str, text: str, **limits: int) -> Any:
+    """Describe an option of a command: what its value is called, and its help."""
+    return typer.Option(metavar=metavar, help=text, **limits)  # type: ignore[arg-type]
+
+
 JsonOption = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")
 ]
-DurationOption = Annotated[float, typer.Option(metavar="S", help="Length of a flight [s].")]
-VehicleOption = Annotated[
-    str | None, typer.Option(metavar="NAME|YAML", help="Preset or file under config/vehicle.")
-]
-CONTROLLER_OR_OWN = typer.Option(
-    metavar="NAME|YAML|FILE.py:CLASS",
-    help="Preset or file under config/controller, or a controller of your own.",
+DurationOption = Annotated[float, option("S", "Length of a flight [s].")]
+VehicleOption = Annotated[str | None, option("NAME|YAML", "Preset or file under config/vehicle.")]
+CONTROLLER_OR_OWN = option(
+    "NAME|YAML|FILE.py:CLASS",
+    "Preset or file under config/controller, or a controller of your own.",
 )
 
 console = Console()

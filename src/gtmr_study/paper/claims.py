@@ -18,8 +18,8 @@ from gtmr_nmpc import Mode
 
 TRIALS = 500
 """Realizations a mode in Table II."""
-WIND_BIAS_N = (0.6, 0.4, 0.0)
-"""w_b of Fig. 1, world frame [N]."""
+FIG_1_ZETA = (0.0,) * 6 + (0.6, 0.4, 0.0)
+"""zeta of Fig. 1: nothing but the wind bias w_b, world frame [N]."""
 
 
 @dataclass(frozen=True)

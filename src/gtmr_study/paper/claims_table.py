@@ -22,11 +22,11 @@ from gtmr_nmpc import MODES, ControllerConfig, Mode
 from gtmr_sim import GustConfig
 from gtmr_study.campaign.study import Study
 from gtmr_study.paper.claims import (
+    FIG_1_ZETA,
     MEDIAN_CLEARANCE_M,
     PAPER,
     RESIDUAL_TOLERANCE_M,
     TRIALS,
-    WIND_BIAS_N,
     deviations,
 )
 
@@ -235,7 +235,7 @@ def _values(study: Study, results: dict[str, Any]) -> Values:
 
 def _fly_command(study: Study) -> str:
     """Find the robust flight of Fig. 1 as a command of its own, if the study is the default."""
-    zeta = " ".join(f"{value:g}" for value in (*(0.0,) * 6, *WIND_BIAS_N))
+    zeta = " ".join(f"{value:g}" for value in FIG_1_ZETA)
     flight = f"gtmr fly --mode robust --seed {study.seed} --zeta {zeta}"
     if study.duration_s != 50.0:
         flight += f" --duration {study.duration_s:g}"

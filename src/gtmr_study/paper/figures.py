@@ -32,22 +32,11 @@ def table_ii_rows(summary: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     rows = []
     for mode, paper in PAPER.items():
         ours = summary[mode]
-        rows.append(
-            (
-                f"{mode}, paper",
-                f"{paper.min_clearance_m:.3f} m",
-                f"{paper.violations}/{TRIALS}",
-                f"{paper.solve_ms:.1f} ms",
-            )
-        )
-        rows.append(
-            (
-                f"{mode}, here",
-                f"{ours['min_clearance_m']:.3f} m",
-                f"{ours['violations']}/{ours['trials']}",
-                f"{ours['solve_ms']['mean']:.2f} ms",
-            )
-        )
+        least_m = (paper.min_clearance_m, ours["min_clearance_m"])
+        violating = (f"{paper.violations}/{TRIALS}", f"{ours['violations']}/{ours['trials']}")
+        solve = (f"{paper.solve_ms:.1f} ms", f"{ours['solve_ms']['mean']:.2f} ms")
+        for who, least, n, time in zip(("paper", "here"), least_m, violating, solve, strict=True):
+            rows.append((f"{mode}, {who}", f"{least:.3f} m", n, time))
     return rows
 
 

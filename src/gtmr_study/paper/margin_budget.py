@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from gtmr_model import CHANNELS, UncertaintySet
+from gtmr_model import CHANNELS
 from gtmr_nmpc import Controller, ControllerConfig, Solution
 
 ORBIT_SAMPLES = 24
@@ -82,24 +82,17 @@ def unit_slips(config: ControllerConfig) -> dict[str, ControllerConfig]:
     """Make the controllers that slips of units would give, by what was taken for what."""
     mass, box = config.vehicle.mass_kg, config.uncertainty
 
-    def with_box(**changes: Any) -> ControllerConfig:
-        return config.model_copy(
-            update={"uncertainty": UncertaintySet.parse(box.model_dump() | changes, "slip")}
-        )
+    def changed(part: str, **fields: Any) -> ControllerConfig:
+        of = getattr(config, part)
+        return config.model_copy(update={part: type(of).parse(of.model_dump() | fields, "slip")})
 
-    as_acceleration = tuple(bound * mass for bound in box.wind_bias_n)
+    wind_bias = {"wind_bias_n": tuple(bound * mass for bound in box.wind_bias_n)}
+    gust = {"gust_n": box.gust_n * mass}
+    inertia_kg_m2 = (0.01155, 0.01137, 0.01944)
     return {
-        "wind bias in m/s² instead of N": with_box(wind_bias_n=as_acceleration),
-        "gust in m/s² instead of N": with_box(gust_n=box.gust_n * mass),
-        "wind bias and gust in m/s²": with_box(
-            wind_bias_n=as_acceleration, gust_n=box.gust_n * mass
-        ),
-        "inertia of LAAS (a tenth)": config.model_copy(
-            update={
-                "vehicle": config.vehicle.model_copy(
-                    update={"inertia_kg_m2": (0.01155, 0.01137, 0.01944)}
-                )
-            }
-        ),
+        "wind bias in m/s² instead of N": changed("uncertainty", **wind_bias),
+        "gust in m/s² instead of N": changed("uncertainty", **gust),
+        "wind bias and gust in m/s²": changed("uncertainty", **wind_bias, **gust),
+        "inertia of LAAS (a tenth)": changed("vehicle", inertia_kg_m2=inertia_kg_m2),
         "horizon of 1 s (N = 40)": config.model_copy(update={"horizon": 40}),
     }

@@ -17,11 +17,10 @@ from typing import Any
 
 from gtmr_model import CHANNELS
 from gtmr_monitor.report import look
-from gtmr_monitor.report.drawing import inline_svg
 from gtmr_monitor.report.html import page, signed, table
 from gtmr_nmpc import MODES
 from gtmr_study.campaign.figures import Campaign
-from gtmr_study.campaign.report import campaign_section
+from gtmr_study.campaign.report import campaign_section, figures_html
 from gtmr_study.paper.claims import PAPER
 from gtmr_study.paper.claims_table import Claim, markdown_table
 
@@ -46,10 +45,7 @@ def write_page(
     drawn: dict[str, Callable[[], Any]],
 ) -> None:
     """Write the page: claims, figures of the paper by name, and the campaign that was flown."""
-    figures = "\n".join(
-        f'<figure id="{name}">{inline_svg(draw)}</figure>\n<p>{_CAPTIONS[name]}</p>'
-        for name, draw in drawn.items()
-    )
+    figures = figures_html(drawn, _CAPTIONS)
     tried = [["claim", "paper", "here", "command", "verdict"]]
     tried += [[c.claim, c.paper, c.here, c.command, c.verdict] for c in claims]
     sections = "\n".join(
@@ -78,8 +74,14 @@ def one_value_at_a_time(results: dict[str, Any]) -> Table:
     for variant in results["variants"]:
         cells = [variant["name"]]
         for mode, distance in zip(MODES, ("nominal", "both"), strict=True):
-            cells += _of_mode(variant["summary"][mode])
-            cells.append(f"{variant['distance'][distance]:.2f}")
+            summary = variant["summary"][mode]
+            residual_m = [summary["residual_m"][key] for key in ("q1", "median", "q3")]
+            cells += [
+                f"{summary['violations']} of {summary['trials']}",
+                f"{summary['min_clearance_m']:.3f}",
+                ", ".join(map(signed, residual_m)),
+                f"{variant['distance'][distance]:.2f}",
+            ]
         rows.append(cells)
     return rows
 
@@ -139,15 +141,6 @@ def _sections(results: dict[str, Any]) -> list[tuple[str, str, Table]]:
             "Margin at the last stage, averaged over a turn around the tower.",
             alpha_by_speed(results),
         ),
-    ]
-
-
-def _of_mode(summary: dict[str, Any]) -> list[str]:
-    quartiles = ", ".join(signed(summary["residual_m"][key]) for key in ("q1", "median", "q3"))
-    return [
-        f"{summary['violations']} of {summary['trials']}",
-        f"{summary['min_clearance_m']:.3f}",
-        quartiles,
     ]
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from gtmr_model import N_ZETA
 from gtmr_model.dynamics import ATTITUDE, POSITION, YAW
 from gtmr_monitor.report.drawing import save
-from gtmr_nmpc import MODES, Controller
+from gtmr_nmpc import MODES, Controller, Mode
 from gtmr_sim import FlightLog, GustConfig, fly
 from gtmr_study.campaign import cluster
 from gtmr_study.campaign.figures import Campaign, write_figures
@@ -29,7 +29,7 @@ from gtmr_study.campaign.run import fly_campaign
 from gtmr_study.campaign.study import Study
 from gtmr_study.paper import figures as paper_figures
 from gtmr_study.paper import first_order
-from gtmr_study.paper.claims import PAPER, TRIALS, WIND_BIAS_N, deviations, distance
+from gtmr_study.paper.claims import FIG_1_ZETA, PAPER, TRIALS, deviations, distance
 from gtmr_study.paper.claims_table import claims, claims_markdown
 from gtmr_study.paper.margin_budget import alpha_by_helix_speed, hoelder_ratio
 from gtmr_study.paper.report import sensitivity_markdown, write_page
@@ -93,7 +93,10 @@ def reproduce(
         update={"modes": MODES, "trials": effort.trials, "duration_s": effort.duration_s}
     )
     summary = fly_campaign(study, folder, n_workers, scheduler, partial(tell, "trials"))
-    logs = _fig_1_flights(study, partial(tell, "Fig. 1"))
+    logs: dict[str, FlightLog] = {}
+    for done, mode in enumerate(MODES, start=1):
+        logs[mode] = _flight(study, mode, zeta=FIG_1_ZETA, seed=study.seed)
+        tell("Fig. 1", done, len(MODES))
     flown_variants = []
     with cluster.workers(n_workers, scheduler) as client:
         if effort.variant_trials:
@@ -117,7 +120,13 @@ def reproduce(
     }
     write_json(folder / RESULTS_FILE, results)
     write_figures(folder)
-    drawn = _figures(study, results, logs)
+    tower, helix = study.controller.tower, study.controller.helix
+    drawn: dict[str, Callable[[], Any]] = {
+        "table-ii": partial(paper_figures.table_ii, summary),
+        "fig-1": partial(paper_figures.fig_1, logs, tower, helix),
+        "fig-2": partial(paper_figures.fig_2, summary),
+        "first-order": partial(first_order.draw, results["first_order"]),
+    }
     for name, draw in drawn.items():
         save(draw, folder / name)
     found_claims = claims(study, results)
@@ -127,17 +136,11 @@ def reproduce(
     return results
 
 
-def _fig_1_flights(study: Study, tell: Callable[[int, int], None]) -> dict[str, FlightLog]:
-    scenario = study.scenario(0).model_copy(
-        update={"zeta": (*(0.0,) * 6, *WIND_BIAS_N), "seed": study.seed}
-    )
-    logs: dict[str, FlightLog] = {}
-    for k, mode in enumerate(MODES):
-        controller = Controller(study.controller, mode)
-        period = study.controller.sampling_time_s
-        logs[mode] = fly(scenario, controller, study.duration_s, period)
-        tell(k + 1, len(MODES))
-    return logs
+def _flight(study: Study, mode: Mode, **world: Any) -> FlightLog:
+    """Fly the first trial in a world that is changed."""
+    scenario = study.scenario(0).model_copy(update=world)
+    controller = Controller(study.controller, mode)
+    return fly(scenario, controller, study.duration_s, study.controller.sampling_time_s)
 
 
 def _fig_1_figures(study: Study, log: FlightLog) -> dict[str, float]:
@@ -158,11 +161,7 @@ def _fig_1_figures(study: Study, log: FlightLog) -> dict[str, float]:
 
 def _calm_flight(study: Study) -> dict[str, float]:
     """See, without mismatch and gusts, if more clearance is kept where the margin is large."""
-    scenario = study.scenario(0).model_copy(
-        update={"zeta": (0.0,) * N_ZETA, "gust": GustConfig(kind="none")}
-    )
-    controller = Controller(study.controller, "robust")
-    log = fly(scenario, controller, study.duration_s, study.controller.sampling_time_s)
+    log = _flight(study, "robust", zeta=(0.0,) * N_ZETA, gust=GustConfig(kind="none"))
     # The margin of a plan's end is about where the vehicle will be a horizon later.
     horizon = study.controller.horizon
     alpha_n, clearance = log.alpha_p[:-horizon, -1], log.d_T[horizon:]
@@ -185,8 +184,8 @@ def _perturbations(
         range(start, min(start + QUALITY_CHUNK, effort.trials))
         for start in range(0, effort.trials, QUALITY_CHUNK)
     ]
-    done = cluster.run_chunks(client, first_order.perturbations, short, chunks)
     results = {}
+    done = cluster.run_chunks(client, first_order.perturbations, short, chunks)
     for k, (chunk, result) in enumerate(done):
         tell(k + 1, len(chunks))
         if isinstance(result, BaseException):
@@ -194,15 +193,3 @@ def _perturbations(
         results[chunk] = result
     # In the order of the trials, so that the same seed gives the same figures to the last digit.
     yield from (results[chunk] for chunk in chunks)
-
-
-def _figures(
-    study: Study, results: dict[str, Any], logs: dict[str, FlightLog]
-) -> dict[str, Callable[[], Any]]:
-    config, summary = study.controller, results["summary"]
-    return {
-        "table-ii": partial(paper_figures.table_ii, summary),
-        "fig-1": partial(paper_figures.fig_1, logs, config.tower, config.helix),
-        "fig-2": partial(paper_figures.fig_2, summary),
-        "first-order": partial(first_order.draw, results["first_order"]),
-    }

@@ -28,6 +28,7 @@ from gtmr_model import ConfigError
 from gtmr_nmpc import Controller, ControllerConfig, Mode
 from gtmr_nmpc.config import TighteningOrder
 from gtmr_sim import GustConfig, Scenario, Simulation
+from gtmr_study.paper.claims import FIG_1_ZETA
 from gtmr_study.rivals.do_mpc import DoMpcRival
 from gtmr_study.rivals.nlp import InspectionNlp, NlpSolution
 
@@ -39,8 +40,6 @@ CONTROLLERS: tuple[tuple[str, Mode, TighteningOrder], ...] = (
     ("gradient", "robust", "gradient"),
 )
 """Name, mode and tightening of what is timed."""
-WIND_BIAS = (0.0,) * 6 + (0.6, 0.4, 0.0)
-"""zeta with the wind bias of Fig. 1."""
 Rivals = dict[str, InspectionNlp | DoMpcRival]
 WARM_UP_STEPS = 20
 """Steps before timing starts, not counted."""
@@ -99,7 +98,7 @@ def record_situations(steps: int) -> list[Situation]:
     Calm flight; wind with gusts towards the tower, where the tightened clearance is active much of
     the time; starts from far off, where rotor limits and slacks are.
     """
-    windy = Scenario(zeta=WIND_BIAS, gust=GustConfig(kind="worst-case"))
+    windy = Scenario(zeta=FIG_1_ZETA, gust=GustConfig(kind="worst-case"))
     return [
         Situation("calm", list(_flight(Scenario(gust=GustConfig(kind="none")), steps))),
         Situation("at the limit", list(_flight(windy, steps))),

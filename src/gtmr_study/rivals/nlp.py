@@ -74,7 +74,7 @@ class InspectionNlp:
         x = _rollout(config, x0, u) if condensed else ca.MX.sym("x", vehicle.n_x, n + 1)
         slack = ca.MX.sym("slack", n)
         reference = ca.MX.sym("reference", 10, n + 1)
-        margin = ca.MX.sym("margin", n) if margins_given else ca.MX.sym("margin", 0)
+        margin = ca.MX.sym("margin", n if margins_given else 0)
         gaps, alpha = _shooting(config, x, u, margins_given)
         if condensed:
             gaps = ca.vec(x[ROTORS, 1:])
@@ -91,11 +91,11 @@ class InspectionNlp:
             "g": ca.vertcat(gaps, tightened - slack),
         }
         self._solver = ca.nlpsol("nlp", solver, program, options)
-        self._cost = (
-            ca.Function("cost", [x, u, slack, reference], [cost]) if not condensed else None
-        )
-        self._condensed = condensed
-        self._states = ca.Function("states", [x0, u], [x]) if condensed else None
+        self._cost = self._states = None
+        if condensed:
+            self._states = ca.Function("states", [x0, u], [x])
+        else:
+            self._cost = ca.Function("cost", [x, u, slack, reference], [cost])
 
     def solve(
         self, t: float, x0: Array, alpha: Array | None, guess: NlpSolution | None
@@ -121,7 +121,7 @@ class InspectionNlp:
         data = np.r_[reference.ravel(), alpha[1:] if alpha is not None else []]
         # The clearance is bounded from above alone.
         unbounded, none = np.full(n, -np.inf), np.zeros(n)
-        if self._condensed:
+        if self._states is not None:
             result = self._solver(
                 x0=rest,
                 p=np.r_[x0, data],
