@@ -138,7 +138,7 @@ class MonitorNode(SuiteNode):
     def __init__(self, managed: bool = False) -> None:
         super().__init__("monitor", managed)
         self._settings = ModelParameters(self, MonitorParameters, self.PRESETS, self.DYNAMIC)
-        self._recording: Recorder | None = None
+        self._recording = Recorder("", self._say)
 
     def allocate(self) -> None:
         """Open the bag, which must be new or empty."""
@@ -160,21 +160,19 @@ class MonitorNode(SuiteNode):
             for name in vehicle.nodes
         ]
         self.create_timer(PARAMETERS_PERIOD_S, self._poll_parameters, clock=wall)
-        if self._recording is None:
+        if not self._recording.folder:
             return
         self._record_everything()
-        self.create_timer(FLUSH_PERIOD_S, self._flush, clock=wall)
+        self.create_timer(FLUSH_PERIOD_S, self._recording.flush, clock=wall)
         self._take_parameters(own_parameters(self))
         self.get_logger().info(f"recording into {self._recording.folder}")
 
     def release(self) -> None:
         """Close the bag, with what has already arrived."""
-        recording = self._recording
-        if recording is not None:
-            if recording.active:
-                take_what_arrived(self)
-            self._recording = None
-            recording.close()
+        if self._recording.active:
+            take_what_arrived(self)
+        ended, self._recording = self._recording, Recorder("", self._say)
+        ended.close()
 
     def destroy_node(self) -> None:
         """Close the bag and take the node out of the graph."""
@@ -190,11 +188,12 @@ class MonitorNode(SuiteNode):
         }
         return {**of_vehicles, PARAMETER_EVENTS.name: PARAMETER_EVENTS}
 
-    def _record_into(self, folder: str) -> Recorder | None:
-        if not folder:
-            return None
+    def _say(self, reason: str) -> None:
+        self.get_logger().error(reason)
+
+    def _record_into(self, folder: str) -> Recorder:
         try:
-            recording = Recorder(folder, lambda reason: self.get_logger().error(reason))
+            recording = Recorder(folder, self._say)
         except BagError as error:
             raise ConfigError(f"{self.get_name()}: bag = {error}") from None
         for name, topic in self._topics().items():
@@ -202,21 +201,16 @@ class MonitorNode(SuiteNode):
         return recording
 
     def _record_everything(self) -> None:
-        written_otherwise = {PARAMETER_EVENTS.name} | {
-            name
-            for vehicle in self._vehicles
-            for name in (
-                vehicle.odometry_name,
-                vehicle.clearance.topic_name,
-                vehicle.residual.topic_name,
-            )
-        }
+        written_otherwise = {PARAMETER_EVENTS.name}
+        for v in self._vehicles:
+            own = (v.odometry_name, v.clearance.topic_name, v.residual.topic_name)
+            written_otherwise.update(own)
         for name, topic in self._topics().items():
             if name not in written_otherwise:
                 listen(self, topic, partial(self._on_message, name))
 
     def _on_message(self, topic: str, data: bytes, info: Info) -> None:
-        self._write(topic, data, received_ns(info), info["source_timestamp"])
+        self._recording.write(topic, data, received_ns(info), info["source_timestamp"])
 
     def _on_parameter_event(self, data: bytes, info: Info) -> None:
         self._on_message(PARAMETER_EVENTS.name, data, info)
@@ -232,7 +226,7 @@ class MonitorNode(SuiteNode):
 
     def _on_odometry(self, vehicle: WatchedVehicle, data: bytes, info: Info) -> None:
         came_ns = received_ns(info)
-        self._write(vehicle.odometry_name, data, came_ns, info["source_timestamp"])
+        self._recording.write(vehicle.odometry_name, data, came_ns, info["source_timestamp"])
         tower = self._settings.value.tower
         try:
             stamp_ns, x = odometry.unpack(data)
@@ -257,18 +251,8 @@ class MonitorNode(SuiteNode):
 
     def _publish(self, publisher: Publisher, message: Any, log_time_ns: int) -> None:
         data = serialize_message(message)
-        self._write(publisher.topic_name, data, log_time_ns)
+        self._recording.write(publisher.topic_name, data, log_time_ns)
         publisher.publish(data)
-
-    def _write(
-        self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int | None = None
-    ) -> None:
-        if self._recording is not None:
-            self._recording.write(topic, data, log_time_ns, publish_time_ns)
-
-    def _flush(self) -> None:
-        if self._recording is not None:
-            self._recording.flush()
 
     def _poll_parameters(self) -> None:
         for fetch in self._fetches:
@@ -278,8 +262,8 @@ class MonitorNode(SuiteNode):
         self._compare(event)
         event.stamp = self.get_clock().now().to_msg()
         data = without_tail(serialize_message(event), PARAMETER_EVENTS.type_name)
-        self._write(PARAMETER_EVENTS.name, data, time.time_ns())
-        self._flush()
+        self._recording.write(PARAMETER_EVENTS.name, data, time.time_ns())
+        self._recording.flush()
 
     def _diagnose(self) -> None:
         for vehicle in self._vehicles:
@@ -287,9 +271,8 @@ class MonitorNode(SuiteNode):
 
     def _diagnose_vehicle(self, vehicle: WatchedVehicle) -> None:
         watch, recording, tower = vehicle.watch, self._recording, self._settings.value.tower
-        unwritten = recording.unwritten if recording is not None else 0
         level, message = Level.OK, "clear of the tower"
-        if unwritten:
+        if recording.unwritten:
             level, message = Level.ERROR, "stopped recording: the bag cannot be written"
         elif watch.current_m > 0.0:
             level, message = Level.ERROR, "the clearance is violated"
@@ -316,24 +299,17 @@ class MonitorNode(SuiteNode):
             "samples": watch.samples,
             "unusable_odometry": vehicle.unusable,
             "late_odometry": vehicle.order.late,
-            "recording": recording is not None and recording.active,
+            "recording": recording.active,
             "bag": self._settings.value.bag,
-            "messages_written": recording.messages if recording is not None else 0,
-            "bag_bytes": recording.size_bytes if recording is not None else 0,
-            "messages_not_written": unwritten,
+            "messages_written": recording.messages,
+            "bag_bytes": recording.size_bytes,
+            "messages_not_written": recording.unwritten,
         }
         if math.isfinite(watch.worst_m):
             values |= {"residual_m": watch.current_m, "worst_residual_m": watch.worst_m}
         what = f"{vehicle.namespace} clearance" if vehicle.namespace else "clearance"
-        self._status.publish(
-            diagnostics.encode(
-                self.get_clock().now().nanoseconds,
-                f"{diagnostics.source(self)}: {what}",
-                level,
-                message,
-                values,
-            )
-        )
+        name, now_ns = f"{diagnostics.source(self)}: {what}", self.get_clock().now().nanoseconds
+        self._status.publish(diagnostics.encode(now_ns, name, level, message, values))
 
 
 def _offered(qos: QoSProfile) -> OfferedQos:

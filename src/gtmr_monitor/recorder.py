@@ -20,16 +20,17 @@ from gtmr_monitor.bag.writer import BagWriter
 class Recorder:
     """A bag until it cannot be written; from then on it only counts what it lacks.
 
-    The folder is new or empty; ``on_failure`` is told in one line what went wrong.
+    The folder is new or empty, or "" for no recording; ``on_failure`` is told in one line what
+    went wrong.
 
     Raises BagError if there can be no bag in the folder.
     """
 
     def __init__(self, folder: str, on_failure: Callable[[str], object]) -> None:
-        self._bag: BagWriter | None = BagWriter(folder)
+        self._bag = BagWriter(folder) if folder else None
         self._on_failure = on_failure
         self.folder = folder
-        """Where it is."""
+        """Where it is; "" for nowhere."""
         self.unwritten = 0
         """How many messages came when the bag could not be written any more."""
 
@@ -58,7 +59,7 @@ class Recorder:
     ) -> None:
         """Write a message, see `BagWriter.write`; a failure ends the recording."""
         if self._bag is None:
-            self.unwritten += 1
+            self.unwritten += bool(self.folder)
             return
         try:
             self._bag.write(topic, data, log_time_ns, publish_time_ns)
