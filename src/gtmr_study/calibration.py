@@ -15,7 +15,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 import optuna
 import pandas as pd
 import yaml
@@ -25,7 +24,7 @@ from optuna.trial import TrialState
 
 from gtmr_nmpc import MODES, Mode
 from gtmr_study.campaign import cluster
-from gtmr_study.campaign.study import Study
+from gtmr_study.campaign.study import Study, trial_seed
 from gtmr_study.campaign.summary import summarise
 from gtmr_study.paper.claims import TRIALS, deviations, distance
 from gtmr_study.paper.unreported import UNREPORTED, values_of, with_values
@@ -100,7 +99,7 @@ def calibrate(
                 if number < len(starts) and not search.get_trials(states=(TrialState.WAITING,)):
                     search.enqueue_trial(starts[number])
                 # Seeded by the number, a search that was cut short goes on as if it had not been.
-                seed = int(np.random.SeedSequence([base.seed, number]).generate_state(1)[0])
+                seed = trial_seed(base.seed, number)
                 search.sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True)
                 search.optimize(evaluate, n_trials=1)
                 _write_best(folder / BEST, base, target, search)

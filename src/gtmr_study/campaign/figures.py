@@ -75,8 +75,7 @@ def residual(campaign: Campaign) -> Figure:
     draw_boxes(axes, list(summary.values()), [mode_colour(mode) for mode in summary])
     axes.set_xticks(range(1, len(summary) + 1), [str(mode) for mode in summary])
     axes.set(
-        ylabel="s = $d_{min} - d_T$ [m]",
-        title="Clearance residual, all instants of all trials",
+        ylabel="s = $d_{min} - d_T$ [m]", title="Clearance residual, all instants of all trials"
     )
     return figure
 

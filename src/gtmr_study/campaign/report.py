@@ -98,10 +98,6 @@ def _solve(key: str) -> Value:
     return lambda s: f"{s['solve_ms'][key]:.2f}"
 
 
-def _failed(summary: dict[str, Any]) -> str:
-    return "not told" if summary["failed_steps"] is None else str(summary["failed_steps"])
-
-
 _ROWS: tuple[tuple[str, Value], ...] = (
     ("trials with a violation", lambda s: f"<strong>{s['violations']}</strong> of {s['trials']}"),
     (
@@ -119,7 +115,10 @@ _ROWS: tuple[tuple[str, Value], ...] = (
     ("solve time, mean [ms]", _solve("mean")),
     ("median [ms]", _solve("median")),
     ("99th percentile [ms]", _solve("p99")),
-    ("steps without a solution", _failed),
+    (
+        "steps without a solution",
+        lambda s: "not told" if s["failed_steps"] is None else str(s["failed_steps"]),
+    ),
 )
 
 

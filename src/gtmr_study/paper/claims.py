@@ -14,7 +14,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from gtmr_nmpc import Mode
+from gtmr_nmpc import MODES, Mode
 
 TRIALS = 500
 """Realizations a mode in Table II."""
@@ -87,3 +87,8 @@ def distance(summary: dict[str, dict[str, Any]], modes: tuple[Mode, ...]) -> flo
     """Root mean square of the deviations of some rows [-]; 0 if all figures are the paper's."""
     squares = [d**2 for mode in modes for d in deviations(summary[mode], mode).values()]
     return math.sqrt(sum(squares) / len(squares))
+
+
+def distances(summary: dict[str, dict[str, Any]]) -> dict[str, float]:
+    """Distance to the paper's ``nominal`` rows, and to those of ``both`` modes [-]."""
+    return {"nominal": distance(summary, ("nominal",)), "both": distance(summary, MODES)}

@@ -29,7 +29,7 @@ from gtmr_study.campaign.run import fly_campaign
 from gtmr_study.campaign.study import Study
 from gtmr_study.paper import figures as paper_figures
 from gtmr_study.paper import first_order
-from gtmr_study.paper.claims import FIG_1_ZETA, PAPER, TRIALS, deviations, distance
+from gtmr_study.paper.claims import FIG_1_ZETA, PAPER, TRIALS, deviations, distances
 from gtmr_study.paper.claims_table import claims, claims_markdown
 from gtmr_study.paper.margin_budget import alpha_by_helix_speed, hoelder_ratio
 from gtmr_study.paper.report import sensitivity_markdown, write_page
@@ -110,7 +110,7 @@ def reproduce(
         "summary": summary,
         "paper": {mode: row.__dict__ for mode, row in PAPER.items()},
         "deviations": {mode: deviations(summary[mode], mode) for mode in MODES},
-        "distance": {"nominal": distance(summary, ("nominal",)), "both": distance(summary, MODES)},
+        "distance": distances(summary),
         "fig_1": {mode: _fig_1_figures(study, log) for mode, log in logs.items()},
         "calm": _calm_flight(study),
         "first_order": first_order.quality(first_order.Perturbations.join(found)),

@@ -21,7 +21,7 @@ from gtmr_study.campaign import cluster
 from gtmr_study.campaign.study import Study
 from gtmr_study.campaign.summary import summarise
 from gtmr_study.campaign.trials_file import open_campaign, read_trials
-from gtmr_study.paper.claims import distance
+from gtmr_study.paper.claims import distances
 from gtmr_study.paper.margin_budget import margin_budget, unit_slips
 from gtmr_study.paper.unreported import UNREPORTED, values_of, with_values
 
@@ -103,10 +103,7 @@ def fly_variants(
                 "parameter": variant.parameter,
                 "margins_m": margins,
                 "summary": summary,
-                "distance": {
-                    "nominal": distance(summary, ("nominal",)),
-                    "both": distance(summary, MODES),
-                },
+                "distance": distances(summary),
             }
         )
         on_progress(k + 1, len(made))

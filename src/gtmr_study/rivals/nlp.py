@@ -164,9 +164,7 @@ def _discrete(config: ControllerConfig) -> tuple[ca.Function, ca.Function]:
     xs, us, zs, _ = symbols(config.vehicle)
     no_gust = ca.DM.zeros(3)
     x_next = rk4_step(
-        xs,
-        config.sampling_time_s,
-        lambda x: state_derivative(x, us, zs, no_gust, config.vehicle),
+        xs, config.sampling_time_s, lambda x: state_derivative(x, us, zs, no_gust, config.vehicle)
     )
     jacobians = [ca.jacobian(x_next, s) for s in (xs, zs)]
     return ca.Function("F", [xs, us, zs], [x_next]), ca.Function("dF", [xs, us, zs], jacobians)
