@@ -85,15 +85,7 @@ class Controller:
     def reconfigure(self, config: ControllerConfig) -> None:
         """Take over other bounds, weights, clearance or slack penalties; keeps the warm start.
 
-        Parameters
-        ----------
-        config : ControllerConfig
-            The problem from the next step on, of the same vehicle, horizon and sampling time.
-
-        Raises
-        ------
-        ValueError
-            If it differs in one of these, which need a new controller.
+        Raises ValueError if vehicle, horizon or sampling time differ, which need a new controller.
         """
         for fixed in FIXED:
             if getattr(config, fixed) != getattr(self.config, fixed):
@@ -111,13 +103,9 @@ class Controller:
         self._prepared = None
 
     def prepare(self, t: float) -> None:
-        """Do all that can be done before the state at time t is known.
+        """Do all that can be done before the state at time t [s] is known.
 
-        Parameters
-        ----------
-        t : float
-            When the next state will be measured [s]. Without a warm start there is nothing to
-            prepare yet.
+        Without a warm start there is nothing to prepare yet.
         """
         if self._warm(t):
             self._prepare(t)
@@ -131,11 +119,6 @@ class Controller:
             Time of the measurement [s].
         x : array_like, shape (12 + N_p,)
             State [p, eta, v, omega, xi]: m, rad, m/s, rad/s, Hz; yaw may be wrapped round.
-
-        Returns
-        -------
-        Solution
-            The plan, its margins, status and timing.
 
         Raises
         ------
@@ -164,25 +147,7 @@ class Controller:
         )
 
     def step(self, t: float, x: ArrayLike) -> Solution:
-        """Prepare and plan in one call.
-
-        Parameters
-        ----------
-        t : float
-            Time of the measurement [s].
-        x : array_like, shape (12 + N_p,)
-            State [p, eta, v, omega, xi]: m, rad, m/s, rad/s, Hz; yaw may be wrapped round.
-
-        Returns
-        -------
-        Solution
-            The plan, its margins, status and timing.
-
-        Raises
-        ------
-        ValueError
-            If x has the wrong shape or is not finite.
-        """
+        """Prepare and plan in one call, with arguments and errors of `feedback`."""
         return self.feedback(t, x)
 
     def _prepare(self, t: float) -> None:

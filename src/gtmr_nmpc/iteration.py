@@ -43,44 +43,24 @@ class Iteration(Protocol):
     """Gauss-Newton iterations of one problem, from a warm or a cold start."""
 
     def reconfigure(self, config: ControllerConfig) -> None:
-        """Take over other numbers of the same problem.
-
-        Parameters
-        ----------
-        config : ControllerConfig
-            With the vehicle, horizon and sampling time of the old one.
-        """
+        """Take over other numbers of the same problem, of the same vehicle, horizon and T_s."""
         ...
 
     def cold(self, x: Array) -> None:
-        """Make the iterate by holding a state for the whole horizon.
-
-        Parameters
-        ----------
-        x : NDArray, shape (12 + N_p,)
-            The state.
-        """
+        """Make the iterate by holding a state, shape (12 + N_p,), for the whole horizon."""
         ...
 
     def warm(self, steps: int) -> None:
-        """Make the iterate from the last plan, the rotors holding their speeds past its end.
+        """Make the iterate from the last plan, moved on by 0 to N - 1 sampling times.
 
-        Parameters
-        ----------
-        steps : int
-            By how many sampling times to move on, 0 to N - 1.
+        Past its end the rotors hold their speeds.
         """
         ...
 
     def prepare(self, t: float, margin_scale: float) -> None:
-        """Do all of the iteration that needs no measurement.
+        """Do all of the iteration that needs no measurement; stage 0 is at t [s].
 
-        Parameters
-        ----------
-        t : float
-            Time of stage 0 [s].
-        margin_scale : float
-            Of the margins: 1 in robust mode, 0 in nominal mode, in between after a switch.
+        Margins are scaled by 1 in robust mode, 0 in nominal mode, in between after a switch.
         """
         ...
 
@@ -93,16 +73,9 @@ class Iteration(Protocol):
         ...
 
     def feedback(self, x: Array) -> IterationResult:
-        """Solve the QP for a measured state and take the full step.
+        """Solve the QP for a measured state, shape (12 + N_p,), and take the full step.
 
-        Parameters
-        ----------
-        x : NDArray, shape (12 + N_p,)
-            State at the time that was prepared for; its yaw within pi of the iterate's.
-
-        Returns
-        -------
-        IterationResult
-            Its arrays belong to the caller.
+        The state is that of the prepared time, its yaw within pi of the iterate's. The result's
+        arrays belong to the caller.
         """
         ...

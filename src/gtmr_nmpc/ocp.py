@@ -44,13 +44,7 @@ N_H = len(OUTPUTS)
 
 
 def discrete_dynamics(config: ControllerConfig) -> ca.Function:
-    """Discrete dynamics F of eq. (5b): one RK4 step over T_s without gust.
-
-    Returns
-    -------
-    casadi.Function
-        (x, u, zeta) -> x_next.
-    """
+    """F of eq. (5b), (x, u, zeta) -> x_next: one RK4 step over T_s without gust."""
     x, u, zeta, _ = symbols(config.vehicle)
     x_next = discrete_step(x, u, zeta, ca.DM.zeros(3), config.vehicle, config.sampling_time_s)
     return ca.Function("F", [x, u, zeta], [x_next], ["x", "u", "zeta"], ["x_next"])
@@ -59,10 +53,7 @@ def discrete_dynamics(config: ControllerConfig) -> ca.Function:
 def output_map(config: ControllerConfig) -> ca.Function:
     """Output map h of eq. (6): position, velocity, acceleration, attitude and body rates.
 
-    Returns
-    -------
-    casadi.Function
-        x -> h, shape (15,); acceleration along eq. (3) at zeta = 0 without gust.
+    x -> h, shape (15,); acceleration along eq. (3) at zeta = 0 without gust.
     """
     x, u, _, _ = symbols(config.vehicle)
     nominal = ca.DM.zeros(N_ZETA)
@@ -72,12 +63,7 @@ def output_map(config: ControllerConfig) -> ca.Function:
 
 
 def stage_weights(config: ControllerConfig) -> Array:
-    """Diagonal of Q, eq. (6), in the order of `output_map`.
-
-    Returns
-    -------
-    NDArray, shape (15,)
-    """
+    """Diagonal of Q, eq. (6), in the order of `output_map`, shape (15,)."""
     w = config.weights
     return np.array(
         [*w.position, *w.velocity, *w.acceleration, *(w.roll_pitch,) * 2, w.yaw, *(w.rate,) * 3]
@@ -95,15 +81,7 @@ class HorizonReference:
 
 
 def horizon_reference(config: ControllerConfig, t: float) -> HorizonReference:
-    """Sample the helix over the horizon that starts at t.
-
-    Parameters
-    ----------
-    config : ControllerConfig
-        Helix, tower, horizon.
-    t : float
-        Time of stage 0 [s].
-    """
+    """Sample the helix over the horizon that starts at t [s]."""
     times = t + config.sampling_time_s * np.arange(config.horizon + 1)
     helix = config.helix.at(times, config.tower)
     zeros = np.zeros((len(times), 2))

@@ -24,18 +24,8 @@ def propagate(dF_dx: Array, dF_dzeta: Array) -> Array:
     """Discrete map F_Pi consistent with the RK4 step: Pi_{i+1} = dF/dx Pi_i + dF/dzeta.
 
     Differentiating the discrete step, not the ODE, makes Pi the exact sensitivity of the plan.
-
-    Parameters
-    ----------
-    dF_dx : NDArray, shape (N, n_x, n_x)
-        Jacobians of the discrete dynamics along the plan.
-    dF_dzeta : NDArray, shape (N, n_x, 9)
-        Likewise, with respect to zeta at zeta_0 = 0.
-
-    Returns
-    -------
-    NDArray, shape (N + 1, n_x, 9)
-        Pi_0..Pi_N with Pi_0 = 0 (eq. 15f).
+    Jacobians along the plan have shapes (N, n_x, n_x) and, at zeta_0 = 0, (N, n_x, 9); Pi_0..Pi_N
+    have (N + 1, n_x, 9), with Pi_0 = 0 (eq. 15f).
     """
     n, n_x, _ = dF_dzeta.shape
     pi = np.zeros((n + 1, n_x, N_ZETA))
@@ -45,34 +35,20 @@ def propagate(dF_dx: Array, dF_dzeta: Array) -> Array:
 
 
 def clearance_sensitivity(positions: Array, pi: Array) -> Array:
-    """Sensitivity of the clearance constraint, Pi_y = J_yx Pi.
+    """Sensitivity of the clearance constraint, Pi_y = J_yx Pi [m] per unit of zeta.
 
-    Parameters
-    ----------
-    positions : NDArray, shape (N + 1, 3)
-        Planned positions, world frame [m].
-    pi : NDArray, shape (N + 1, n_x, 9)
-        State sensitivities.
-
-    Returns
-    -------
-    NDArray, shape (N + 1, 9)
-        [m] per unit of zeta.
+    Planned positions in the world frame [m], shape (N + 1, 3), and Pi, shape (N + 1, n_x, 9), give
+    shape (N + 1, 9).
     """
     sensitivity: Array = np.einsum("ij,ijk->ik", clearance_gradient(positions), pi[:, :3, :])
     return sensitivity
 
 
 def second_order_adjoint(dynamics: ca.Function) -> ca.Function:
-    """Gradient of lambda^T (dF/dx pi + dF/dzeta s) with respect to x and u.
+    """(x, u, lambda, pi, s) -> gradient of lambda^T (dF/dx pi + dF/dzeta s) in x and u.
 
     It is how one step's contribution to a margin changes with the plan; summed over the steps it
-    gives the gradient of alpha_p without carrying Pi as states.
-
-    Returns
-    -------
-    casadi.Function
-        (x, u, lambda, pi, s) -> gradient, shape (n_x + N_p,).
+    gives the gradient of alpha_p, shape (n_x + N_p,), without carrying Pi as states.
     """
     x, u, zeta = (ca.SX.sym(name, dynamics.size1_in(name)) for name in ("x", "u", "zeta"))
     lam, pi = ca.SX.sym("lambda", x.numel()), ca.SX.sym("pi", x.numel())

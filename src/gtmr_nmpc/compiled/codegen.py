@@ -32,15 +32,10 @@ WRITTEN_FLAGS = ("-O3", "-ffp-contract=fast")
 
 
 def c_sources(config: ControllerConfig) -> dict[str, str]:
-    """All sources of the controller of a problem.
+    """All sources of the controller of a problem, by file name.
 
     They depend on the vehicle's dynamics, the kind of reference, T_s and N alone; all else is in
     ``gtmr_parameters``.
-
-    Returns
-    -------
-    dict of str to str
-        Contents by file name.
     """
     folder = files("gtmr_nmpc.compiled") / "c"
     written = {

@@ -81,18 +81,7 @@ def parameters(config: ControllerConfig) -> CParameters:
 
 
 class CompiledIteration:
-    """An `Iteration` in C.
-
-    Parameters
-    ----------
-    config : ControllerConfig
-        The problem.
-
-    Raises
-    ------
-    CompileError
-        If it is not in the cache and there is no compiler.
-    """
+    """An `Iteration` in C; CompileError if it is not in the cache and there is no compiler."""
 
     def __init__(self, config: ControllerConfig) -> None:
         n, n_x, n_u = config.horizon, config.vehicle.n_x, config.vehicle.n_rotors

@@ -22,12 +22,7 @@ Array = NDArray[np.float64]
 class Evaluator:
     """A mapped CasADi function: one row per point in, one block per point out.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        One point; vectors in, dense vectors or matrices out.
-    points : int
-        How many points are evaluated in one call.
+    The function has one point: vectors in, dense vectors or matrices out.
     """
 
     def __init__(self, function: ca.Function, points: int) -> None:
@@ -50,18 +45,10 @@ class Evaluator:
         self._buffer = buffer
 
     def __call__(self, *inputs: Array) -> list[Array]:
-        """Evaluate all points.
+        """Evaluate all points: one input of shape (points, n) per input of the function.
 
-        Parameters
-        ----------
-        *inputs : NDArray, shape (points, n)
-            One per input of the function.
-
-        Returns
-        -------
-        list of NDArray
-            One per output, shape (points, rows) for vectors, (points, rows, columns) for
-            matrices; views that the next call overwrites.
+        One output each, shape (points, rows) for vectors, (points, rows, columns) for matrices;
+        views that the next call overwrites.
         """
         for memory, value in zip(self._inputs, inputs, strict=True):
             memory[:] = value

@@ -24,13 +24,7 @@ Array = NDArray[np.float64]
 
 
 class InterpretedIteration:
-    """An `Iteration` made of `RealTimeIteration`.
-
-    Parameters
-    ----------
-    config : ControllerConfig
-        The problem.
-    """
+    """An `Iteration` made of `RealTimeIteration`."""
 
     def __init__(self, config: ControllerConfig) -> None:
         self._config = config

@@ -64,16 +64,11 @@ class CondensedQp:
     """Quadratic penalty per slack [1/m^2]."""
 
     def solve(self) -> QpSolution | None:
-        """Minimise with DAQP.
+        """Minimise with DAQP; None if the solver gave up.
 
         The problem is first solved with the clearance as hard rows. While their multipliers stay
         below the linear penalty this also minimises the exact-penalty problem; only else are slack
         variables brought in, which makes the problem several times dearer.
-
-        Returns
-        -------
-        QpSolution or None
-            None if the solver gave up.
         """
         hard = self._solve_hard()
         if hard is not None and hard.multipliers.max(initial=0.0) <= self.slack_l1:

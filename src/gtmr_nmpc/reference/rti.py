@@ -70,13 +70,7 @@ class Preparation:
 
 
 class RealTimeIteration:
-    """Prepares and solves the Gauss-Newton QPs of one problem.
-
-    Parameters
-    ----------
-    config : ControllerConfig
-        The problem.
-    """
+    """Prepares and solves the Gauss-Newton QPs of one problem."""
 
     def __init__(self, config: ControllerConfig) -> None:
         n, vehicle = config.horizon, config.vehicle
@@ -92,51 +86,28 @@ class RealTimeIteration:
         self.reconfigure(config)
 
     def reconfigure(self, config: ControllerConfig) -> None:
-        """Take over other numbers of the same problem: what is compiled does not depend on them.
+        """Take over other numbers of the same problem, of the same vehicle, horizon and T_s.
 
-        Parameters
-        ----------
-        config : ControllerConfig
-            With the vehicle, horizon and sampling time of the old one.
+        What is compiled does not depend on them.
         """
         self.config = config
         self._sqrt_q = np.sqrt(ocp.stage_weights(config))
         self._sqrt_qf = np.sqrt(config.weights.terminal_position)
 
     def predict(self, x: Array, u: Array) -> Array:
-        """Simulate one stage with the nominal model, eq. (5b).
-
-        Parameters
-        ----------
-        x : NDArray, shape (12 + N_p,)
-            State.
-        u : NDArray, shape (N_p,)
-            Rotor accelerations [Hz/s].
-
-        Returns
-        -------
-        NDArray, shape (12 + N_p,)
-        """
+        """Simulate one stage with the nominal model, eq. (5b): x (12 + N_p,), u (N_p,) [Hz/s]."""
         return np.asarray(self._dynamics(x, u, np.zeros(N_ZETA))).ravel()
 
     def sensitivities(self, iterate: Trajectory) -> Array:
-        """Pi along an iterate, eq. (8).
-
-        Returns
-        -------
-        NDArray, shape (N + 1, 12 + N_p, 9)
-        """
+        """Pi along an iterate, eq. (8), shape (N + 1, 12 + N_p, 9)."""
         _, a, _, _, _, e = self._linearise_with_zeta(iterate.x[:-1], iterate.u)
         return sensitivity.propagate(a, e)
 
     def margin_gradient(self, iterate: Trajectory) -> tuple[Array, Array]:
         """Gradient of alpha_p along an iterate, away from sign changes of Pi_y.
 
-        Returns
-        -------
-        tuple of NDArray
-            d alpha_p,i / d x_k, shape (N + 1, N + 1, 12 + N_p), and d alpha_p,i / d u_k, shape
-            (N + 1, N, N_p).
+        d alpha_p,i / d x_k, shape (N + 1, N + 1, 12 + N_p), and d alpha_p,i / d u_k, shape (N + 1,
+        N, N_p).
         """
         _, a, _, _, _, e = self._linearise_with_zeta(iterate.x[:-1], iterate.u)
         return self._margin_gradient(iterate, a, sensitivity.propagate(a, e))
@@ -144,18 +115,9 @@ class RealTimeIteration:
     def prepare(
         self, t: float, iterate: Trajectory, mode: Mode, margin_scale: float = 1.0
     ) -> Preparation:
-        """Linearise and condense along an iterate.
+        """Linearise and condense along an iterate whose stage 0 is at t [s].
 
-        Parameters
-        ----------
-        t : float
-            Time of stage 0 [s].
-        iterate : Trajectory
-            Where to linearise.
-        mode : str
-            ``nominal`` or ``robust``.
-        margin_scale : float
-            Of the margins in robust mode, 0 to 1.
+        In robust mode the margins are scaled by 0 to 1.
         """
         n, n_x, n_u = self.config.horizon, self.config.vehicle.n_x, self.config.vehicle.n_rotors
         robust = mode == "robust"
@@ -223,19 +185,10 @@ class RealTimeIteration:
         )
 
     def feedback(self, prep: Preparation, x: Array) -> tuple[Trajectory, Array] | None:
-        """Embed the measured state, solve the QP, take the full step.
+        """Embed the measured state, shape (12 + N_p,), solve the QP, take the full step.
 
-        Parameters
-        ----------
-        prep : Preparation
-            Made for the time of x.
-        x : NDArray, shape (12 + N_p,)
-            Measured state; its yaw within pi of the iterate's.
-
-        Returns
-        -------
-        tuple of Trajectory and NDArray, or None
-            The new iterate, and the slack of stages 1..N [m]; None if the QP solver gave up.
+        The preparation is for the time of x, whose yaw is within pi of the iterate's. Gives the
+        new iterate and the slack of stages 1..N [m]; None if the QP solver gave up.
         """
         n, vehicle = self.config.horizon, self.config.vehicle
         dx0 = x - prep.iterate.x[0]
