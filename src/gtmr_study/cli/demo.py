@@ -49,7 +49,7 @@ def demo_command(
     ] = False,
     json: JsonOption = None,
 ) -> None:
-    """Fly the helix round the tower with three ROS 2 nodes, once a mode; record and report."""
+    """Fly the helix around the tower with three ROS 2 nodes, once a mode; record and report."""
     require_duration(duration)
     chosen = modes.split(",")
     for mode in chosen:
@@ -68,7 +68,7 @@ def demo_command(
 
     view = _live_view(duration, chosen) if live else None
     console.print(
-        "Flying a tilted hexarotor round a tower of 2 m diameter, 0.35 m from its surface, in a "
+        "Flying a tilted hexarotor around a tower of 2 m diameter, 0.35 m from its surface, in a "
         "steady wind with gusts. It must not come closer than 0.20 m. Three processes make up a "
         "ROS 2 graph: simulator, controller and monitor."
     )
