@@ -53,24 +53,10 @@ CALLS = {
 def c_function(function: ca.Function, number: str = "double") -> str:
     """Write an SX function as a C function of one array in and one array out.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        On SX. Its inputs follow each other in the array ``in``, the nonzeros of its outputs in
-        the array ``out``.
-    number : str
-        C type of an entry: ``double``, or a vector of doubles that holds one point a lane, for
-        which ``<number>_sin`` and the like must exist.
-
-    Returns
-    -------
-    str
-        Definition of ``void <name>(const <number> *restrict in, <number> *restrict out)``.
-
-    Raises
-    ------
-    NotImplementedError
-        If the function contains an operation that has no C counterpart here.
+    It is ``void <name>(const <number> *restrict in, <number> *restrict out)``: the inputs follow
+    each other in ``in``, the nonzeros of the outputs in ``out``. A number is a ``double``, or a
+    vector of doubles that holds one point a lane, for which ``<number>_sin`` and the like must
+    exist. Raises NotImplementedError for an operation that has no C counterpart here.
     """
     first_in = _offsets([function.nnz_in(i) for i in range(function.n_in())])
     first_out = _offsets([function.nnz_out(i) for i in range(function.n_out())])

@@ -51,12 +51,8 @@ def load_library(
 
     Compiling takes a while, and says so in a line on stderr. Any number of processes may ask for
     the same library at once. A file in the cache that is not as it was written there, or is not
-    the user's own, is never loaded but made again.
-
-    Raises
-    ------
-    CompileError
-        If there is no compiler, or it fails, or what it made can be neither written nor loaded.
+    the user's own, is never loaded but made again. Raises CompileError if there is no compiler, or
+    it fails, or what it made can be neither written nor loaded.
     """
     compiler = _compiler()
     parts = [*compiler, *FLAGS, _version(compiler), _cpu()]

@@ -35,17 +35,7 @@ PITCH, YAW = 4, 5
 
 
 def rotation(eta: Any) -> Any:
-    """Rotation matrix from body to world, Rz(yaw) Ry(pitch) Rx(roll), symbolic.
-
-    Parameters
-    ----------
-    eta : casadi symbol, shape (3,)
-        Roll, pitch, yaw [rad].
-
-    Returns
-    -------
-    casadi expression, shape (3, 3)
-    """
+    """Rotation matrix Rz(yaw) Ry(pitch) Rx(roll) from body to world, symbolic; eta in [rad]."""
     c, s = ca.cos(eta), ca.sin(eta)
     return ca.vertcat(
         ca.horzcat(
@@ -59,19 +49,9 @@ def rotation(eta: Any) -> Any:
 
 
 def euler_rate(eta: Any, omega: Any) -> Any:
-    """Rate of roll, pitch and yaw for a body rate, T(eta) omega, symbolic.
+    """Rate of roll, pitch and yaw [rad/s] for a body rate [rad/s], T(eta) omega, symbolic.
 
-    Parameters
-    ----------
-    eta : casadi symbol, shape (3,)
-        Roll, pitch, yaw [rad]; the pitch stays away from +-90 deg.
-    omega : casadi symbol, shape (3,)
-        Body angular velocity [rad/s].
-
-    Returns
-    -------
-    casadi expression, shape (3,)
-        [rad/s].
+    The pitch stays away from +-90 deg.
     """
     sin_roll, cos_roll = ca.sin(eta[0]), ca.cos(eta[0])
     yaw_rate = (sin_roll * omega[1] + cos_roll * omega[2]) / ca.cos(eta[1])
@@ -85,27 +65,9 @@ def euler_rate(eta: Any, omega: Any) -> Any:
 def state_derivative(
     x: Any, u: Any, zeta: Any, w_g: Any, vehicle: Vehicle, torque: Any = 0.0
 ) -> Any:
-    """Evaluate f(x, u, zeta) + G_w w_g, eq. (3), on CasADi symbols.
+    """Evaluate f(x, u, zeta) + G_w w_g, eq. (3), on CasADi symbols; as `dynamics` on numbers.
 
-    Parameters
-    ----------
-    x : casadi symbol, shape (12 + N_p,)
-        State [p, eta, v, omega, xi]: m, rad, m/s, rad/s, Hz.
-    u : casadi symbol, shape (N_p,)
-        Rotor accelerations [Hz/s].
-    zeta : casadi symbol, shape (9,)
-        Structured uncertainty, eq. (4).
-    w_g : casadi symbol, shape (3,)
-        Gust force, world frame [N].
-    vehicle : Vehicle
-        Nominal parameters.
-    torque : casadi expression, shape (3,), optional
-        On the body beyond eq. (3), body frame [N m].
-
-    Returns
-    -------
-    casadi expression, shape (12 + N_p,)
-        Time derivative of x.
+    A torque on the body beyond eq. (3) is in the body frame [N m], shape (3,).
     """
     eta, v, omega, xi = x[ATTITUDE], x[VELOCITY], x[RATE], x[ROTORS]
     mass = (1.0 + zeta[0]) * vehicle.mass_kg
@@ -121,21 +83,9 @@ def state_derivative(
 
 
 def rk4_step(x: Any, step_s: float, derivative: Any) -> Any:
-    """One step of the classical fourth-order Runge-Kutta scheme.
+    """One step [s] of the classical fourth-order Runge-Kutta scheme, inputs held over it.
 
-    Parameters
-    ----------
-    x : casadi expression or NDArray
-        State at the start of the step.
-    step_s : float
-        Step length [s].
-    derivative : callable
-        Maps a state to its time derivative; inputs are held over the step.
-
-    Returns
-    -------
-    casadi expression or NDArray
-        State at the end of the step.
+    The derivative maps a state, symbolic or of numbers, to its time derivative.
     """
     k1 = derivative(x)
     k2 = derivative(x + 0.5 * step_s * k1)
@@ -145,31 +95,15 @@ def rk4_step(x: Any, step_s: float, derivative: Any) -> Any:
 
 
 def discrete_step(x: Any, u: Any, zeta: Any, w_g: Any, vehicle: Vehicle, step_s: float) -> Any:
-    """Discretise eq. (3): one RK4 step with input, zeta and gust held, on CasADi symbols.
+    """Discretise eq. (3), with the arguments of `state_derivative`, on CasADi symbols.
 
-    Parameters
-    ----------
-    x, u, zeta, w_g, vehicle
-        As of `state_derivative`.
-    step_s : float
-        Step length [s].
-
-    Returns
-    -------
-    casadi expression, shape (12 + N_p,)
-        State at the end of the step.
+    One RK4 step [s] with input, zeta and gust held.
     """
     return rk4_step(x, step_s, lambda x: state_derivative(x, u, zeta, w_g, vehicle))
 
 
 def symbols(vehicle: Vehicle) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    """Make fresh symbols x, u, zeta, w_g of the right sizes for a vehicle.
-
-    Returns
-    -------
-    tuple of casadi.SX
-        x (12 + N_p), u (N_p), zeta (9), w_g (3).
-    """
+    """Make fresh symbols x (12 + N_p), u (N_p), zeta (9), w_g (3) for a vehicle."""
     return (
         ca.SX.sym("x", vehicle.n_x),
         ca.SX.sym("u", vehicle.n_rotors),
@@ -187,7 +121,7 @@ def _dynamics_function(vehicle: Vehicle) -> ca.Function:
 def dynamics(
     x: ArrayLike, u: ArrayLike, zeta: ArrayLike, w_g: ArrayLike, vehicle: Vehicle
 ) -> NDArray[np.float64]:
-    """Evaluate f(x, u, zeta) + G_w w_g, eq. (3), on numbers.
+    """Evaluate f(x, u, zeta) + G_w w_g, eq. (3), on numbers: the time derivative of x.
 
     Parameters
     ----------
@@ -201,11 +135,6 @@ def dynamics(
         Gust force, world frame [N].
     vehicle : Vehicle
         Nominal parameters.
-
-    Returns
-    -------
-    NDArray, shape (12 + N_p,)
-        Time derivative of x.
 
     Raises
     ------

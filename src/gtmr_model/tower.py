@@ -32,17 +32,10 @@ class Tower(YamlModel):
     """d_min, the least admissible clearance [m] (Table I)."""
 
     def clearance(self, position: ArrayLike | ca.SX) -> Any:
-        """Distance to the tower's surface, d_T(p) = rho(p) - R (Sec. II-A).
+        """Distance to the tower's surface [m], negative inside, d_T(p) = rho(p) - R (Sec. II-A).
 
-        Parameters
-        ----------
-        position : array_like, shape (..., 3) or longer in the last axis, or CasADi symbol
-            Positions, or states that start with a position, world frame [m].
-
-        Returns
-        -------
-        NDArray, shape (...,), or CasADi expression
-            [m], negative inside the tower.
+        Positions, or states that start with a position, are in the world frame [m]: shape (..., 3)
+        or longer in the last axis, or a CasADi symbol.
         """
         p: Any = position
         if not isinstance(p, ca.SX):
@@ -51,17 +44,9 @@ class Tower(YamlModel):
         return root(p[0] * p[0] + p[1] * p[1]) - self.radius_m
 
     def residual(self, position: ArrayLike | ca.SX) -> Any:
-        """Clearance residual s = d_min - d_T(p); above zero the constraint (1) is violated.
+        """Clearance residual s = d_min - d_T(p) [m]; above zero the constraint (1) is violated.
 
-        Parameters
-        ----------
-        position : array_like, shape (..., 3) or longer in the last axis, or CasADi symbol
-            Positions, or states that start with a position, world frame [m].
-
-        Returns
-        -------
-        NDArray, shape (...,), or CasADi expression
-            [m].
+        Positions are as of `clearance`.
         """
         return self.min_clearance_m - self.clearance(position)
 
@@ -70,11 +55,8 @@ class Tower(YamlModel):
 def clearance_constraint() -> ca.Function:
     """Clearance constraint of eq. (1) with its derivatives, in standard form y <= 0.
 
-    Returns
-    -------
-    casadi.Function
-        (p, [R, d_min], direction) -> y [m], J_yx, shape (1, 3), which is the position part of
-        eq. (9) and the rest of which is zero, and d(J_yx direction)/dp, shape (1, 3).
+    (p, [R, d_min], direction) -> y [m], J_yx, shape (1, 3), which is the position part of eq. (9)
+    and the rest of which is zero, and d(J_yx direction)/dp, shape (1, 3).
     """
     tower, sizes = Tower.symbolic()
     p, direction = ca.SX.sym("p", 3), ca.SX.sym("direction", 3)

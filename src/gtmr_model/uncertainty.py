@@ -50,12 +50,7 @@ class UncertaintySet(YamlModel):
         return np.array([self.mass, *self.inertia, self.thrust, self.drag, *self.wind_bias_n])
 
     def sample(self, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Draw zeta uniformly from the box.
-
-        Returns
-        -------
-        NDArray, shape (9,)
-        """
+        """Draw zeta, shape (9,), uniformly from the box."""
         return rng.uniform(-1.0, 1.0, N_ZETA) * self.half_widths
 
     def vertices(self) -> NDArray[np.float64]:
@@ -63,22 +58,10 @@ class UncertaintySet(YamlModel):
         return np.array(list(itertools.product((-1.0, 1.0), repeat=N_ZETA))) * self.half_widths
 
     def require_inside(self, zeta: ArrayLike) -> NDArray[np.float64]:
-        """Check that zeta lies in the box.
+        """Check that zeta, shape (9,), lies in the box, and give it as an array.
 
-        Parameters
-        ----------
-        zeta : array_like, shape (9,)
-            Structured uncertainty.
-
-        Returns
-        -------
-        NDArray, shape (9,)
-            The same zeta.
-
-        Raises
-        ------
-        ValueError
-            If the length is wrong or an entry is outside; names the channel, value and range.
+        Raises ValueError if the length is wrong or an entry is outside; names the channel, value
+        and range.
         """
         array = np.asarray(zeta, dtype=float)
         if array.shape != (N_ZETA,):

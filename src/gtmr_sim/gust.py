@@ -33,12 +33,8 @@ def make_gust(scenario: Scenario) -> Gust:
 
     The function registered under the scenario's kind gets the scenario, from which it takes its
     random numbers (``scenario.rng("gust")``), and the kind's ``parameters`` as arguments. It
-    returns a `Gust`, which is called once every hold period.
-
-    Raises
-    ------
-    ValueError
-        When a gust of one's own gives anything but three finite numbers.
+    returns a `Gust`, which is called once every hold period. Raises ValueError when a gust of
+    one's own gives anything but three finite numbers.
     """
     kind, bound = scenario.gust.kind, scenario.uncertainty.gust_n
     gust = GUSTS[kind](scenario, **scenario.gust.parameters)
@@ -97,10 +93,7 @@ def _none(_: Scenario) -> Gust:
 def ornstein_uhlenbeck(std: float, correlation_time_s: float) -> tuple[Array, Array, Array]:
     """Shaping filter of an Ornstein-Uhlenbeck process.
 
-    Returns
-    -------
-    tuple of NDArray
-        A (1, 1), b (1,), c (1,) of ds = A s dt + b dW, output c s.
+    A (1, 1), b (1,), c (1,) of ds = A s dt + b dW, output c s.
     """
     rate = 1.0 / correlation_time_s
     return np.array([[-rate]]), np.array([std * math.sqrt(2.0 * rate)]), np.array([1.0])
@@ -109,21 +102,10 @@ def ornstein_uhlenbeck(std: float, correlation_time_s: float) -> tuple[Array, Ar
 def dryden(std: float, airspeed_m_s: float, height_m: float) -> list[tuple[Array, Array, Array]]:
     """Shaping filters of low-altitude Dryden turbulence (MIL-F-8785C, Sec. 3.7).
 
-    The mean wind blows along the world's x axis; force is taken as proportional to gust speed.
-
-    Parameters
-    ----------
-    std : float
-        Stationary standard deviation of the horizontal components.
-    airspeed_m_s : float
-        Speed at which the frozen turbulence passes [m/s].
-    height_m : float
-        Height above ground; below 10 ft the values of 10 ft hold [m].
-
-    Returns
-    -------
-    list of tuple of NDArray
-        A, b, c along x, y, z of ds = A s dt + b dW, output c s.
+    A, b, c along x, y, z of ds = A s dt + b dW, output c s; std is the stationary standard
+    deviation of the horizontal components. The mean wind blows along the world's x axis; force is
+    taken as proportional to gust speed. The frozen turbulence passes at the airspeed [m/s]; below
+    10 ft above ground the values of 10 ft hold.
     """
     height_ft = min(max(height_m / FOOT_M, 10.0), 1000.0)
     shear = 0.177 + 0.000823 * height_ft

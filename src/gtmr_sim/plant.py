@@ -52,12 +52,10 @@ void plant_advance(double *memory, int steps)
 
 
 class Plant:
-    """A vehicle in flight.
+    """A vehicle in flight, by its nominal parameters and what differs from them.
 
     Parameters
     ----------
-    vehicle : Vehicle
-        Nominal parameters.
     zeta : array_like, shape (9,)
         The true mismatch and wind bias, eq. (4).
     x : array_like, shape (12 + N_p,)
@@ -87,16 +85,10 @@ class Plant:
         self.x: Array = np.array(x, dtype=float)
 
     def advance(self, u: ArrayLike, w_g: ArrayLike, steps: int) -> None:
-        """Fly on with input and gust held.
+        """Fly on for some integration steps with input and gust held.
 
-        Parameters
-        ----------
-        u : array_like, shape (N_p,)
-            Commanded rotor accelerations [Hz/s]; what the actuators cannot do is cut off.
-        w_g : array_like, shape (3,)
-            Gust force, world frame [N].
-        steps : int
-            Number of integration steps.
+        Rotor accelerations u [Hz/s], shape (N_p,), are commanded: what the actuators cannot do is
+        cut off. The gust force w_g, shape (3,), is in the world frame [N].
         """
         np.concatenate((self.x, u, self.zeta, w_g), out=self._memory)
         self._integrate(self._memory, steps)

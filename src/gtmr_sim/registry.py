@@ -23,12 +23,8 @@ class Registry(Generic[T]):
     """Functions by name: registered in this process, or brought by an installed package.
 
     A configuration can only name what is there; it never names a file. Worker processes and nodes
-    know what is installed, not what a script has registered in its own process.
-
-    Parameters
-    ----------
-    group : str
-        Of the entry points by which installed packages bring theirs.
+    know what is installed, in the group of entry points, not what a script has registered in its
+    own process.
     """
 
     def __init__(self, group: str) -> None:
@@ -38,10 +34,8 @@ class Registry(Generic[T]):
     def register(self, name: str) -> Callable[[T], T]:
         """Make a decorator that registers a function under a name.
 
-        Raises
-        ------
-        ValueError
-            If another function has the name; the same one may come again, as from a notebook.
+        Raises ValueError if another function has the name; the same one may come again, as from a
+        notebook.
         """
 
         def decorate(function: T) -> T:
@@ -61,10 +55,7 @@ class Registry(Generic[T]):
     def __getitem__(self, name: str) -> T:
         """Give the function of a name, loading it where an installed package brings it.
 
-        Raises
-        ------
-        ConfigError
-            If there is none; lists those there are.
+        Raises ConfigError if there is none; lists those there are.
         """
         if name not in self._registered:
             found = list(entry_points(group=self.group, name=name))

@@ -37,13 +37,7 @@ EffectNames = Annotated[tuple[str, ...], AfterValidator(_effects)]
 
 
 def whole_steps(name: str, time_s: float, part: str, part_s: float) -> int:
-    """How many times a time [s] holds a part of it, which must be a whole number.
-
-    Raises
-    ------
-    ConfigError
-        If it is not; names both.
-    """
+    """How often a part fits into a time [s]; ConfigError naming both if no whole number."""
     ratio = time_s / part_s
     if not (ratio < math.inf and round(ratio) >= 1 and abs(ratio - round(ratio)) < 1e-6):
         raise ConfigError(

@@ -23,21 +23,9 @@ NANOSECONDS = 1_000_000_000
 class Session:
     """Decides when simulated time may go on; knows nothing of messages and clocks.
 
-    A flight stands still at time zero until it is answered by a command for that time. In
-    lockstep it does so at every instant.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        The world; at time zero.
-    sampling_time_s : float
-        T_s, time between two inputs of a plan [s].
-    tick_s : float
-        By how much :meth:`advance` flies on [s]; T_s in lockstep, else T_s or a whole part of it.
-    lockstep : bool
-        Whether to wait for the command of every instant, not only of the first.
-    duration_s : float
-        When the flight is over [s]; zero for never.
+    A flight stands still at time zero until it is answered by a command for that time. In lockstep
+    it does so at every instant. A tick, by which :meth:`advance` flies on [s], is T_s in lockstep,
+    else T_s or a whole part of it; a duration [s] of zero means that the flight never ends.
     """
 
     def __init__(
@@ -112,20 +100,10 @@ class Session:
         return self._simulation.plan_index
 
     def command(self, stamp_ns: int, u_plan: ArrayLike) -> bool:
-        """Take over a plan, unless it belongs to another flight or comes again.
+        """Take over a plan [Hz/s], shape (N, N_p), one row every T_s, for a state's stamp [ns].
 
-        Parameters
-        ----------
-        stamp_ns : int
-            Stamp of the state that it was made for [ns].
-        u_plan : array_like, shape (N, N_p)
-            Rotor accelerations [Hz/s], one row every T_s.
-
-        Returns
-        -------
-        bool
-            Whether it is taken: it must be newer than the plan in play, not from the future, and
-            for time zero if it is the first.
+        Says whether it is taken: it must be newer than the plan in play, not from the future, and
+        for time zero if it is the first.
         """
         if stamp_ns > self.stamp_ns or (not self.started and stamp_ns != 0):
             return False

@@ -20,21 +20,10 @@ from gtmr_sim.scenario import Scenario, whole_steps
 
 
 class Simulation:
-    """A flight in progress.
+    """A flight in progress, whose plans have an input every plan step [s].
 
-    Time is counted in whole plant steps, so that a flight is the same however it is cut up.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The world and the true parameters.
-    plan_step_s : float
-        Time between two inputs of a plan [s].
-
-    Raises
-    ------
-    ConfigError
-        If that is no whole number of plant steps.
+    Time is counted in whole plant steps, so that a flight is the same however it is cut up. Raises
+    ConfigError if a plan step is no whole number of plant steps.
     """
 
     def __init__(self, scenario: Scenario, plan_step_s: float) -> None:
@@ -91,12 +80,8 @@ class Simulation:
     def command(self, stamp_s: float, u_plan: ArrayLike) -> None:
         """Take over a new plan, to be played from its stamp on.
 
-        Parameters
-        ----------
-        stamp_s : float
-            Simulated time of the state that the plan was made for [s].
-        u_plan : array_like, shape (N, N_p)
-            Rotor accelerations [Hz/s], one row every plan step.
+        The stamp is the simulated time of the state that it was made for [s]; its rotor
+        accelerations [Hz/s], shape (N, N_p), have one row every plan step.
         """
         self._plan = np.asarray(u_plan, dtype=float)
         self._plan_start = round(stamp_s / self.scenario.step_s)
