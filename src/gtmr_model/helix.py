@@ -18,11 +18,14 @@ from pydantic import Field, field_validator
 
 from gtmr_model.reference import ReferencePath
 from gtmr_model.tower import Tower
+from gtmr_model.yaml_model import ConfigError
 
 
 class Helix(ReferencePath):
     """A helix about the tower at constant offset, speed and climb rate."""
 
+    kind: str = "helix"
+    """Which path."""
     offset_m: float = Field(0.35, gt=0.0)
     """d_ref, distance to the tower's surface [m] (Table I)."""
     speed_m_s: float = 0.5
@@ -34,6 +37,13 @@ class Helix(ReferencePath):
     """Height at t = 0 [m]; assumed."""
     start_angle_rad: float = 0.0
     """Angle about the tower at t = 0, from the world's x axis [rad]."""
+
+    @classmethod
+    def required(cls, path: ReferencePath) -> Helix:
+        """Take a reference for a helix where nothing else will do, or raise a ConfigError."""
+        if not isinstance(path, cls):
+            raise ConfigError(f"helix.kind = {path.kind!r}: for this it must be 'helix'")
+        return path
 
     @field_validator("speed_m_s")
     @classmethod

@@ -17,11 +17,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from typing_extensions import Self
 
 from gtmr_model.dynamics import POSITION, RATE, ROTORS, VELOCITY, YAW
 from gtmr_model.tower import Tower
 from gtmr_model.vehicle import Vehicle
-from gtmr_model.yaml_model import YamlModel
+from gtmr_model.yaml_model import OneOfKinds
 
 
 @dataclass(frozen=True)
@@ -40,11 +41,16 @@ class Reference:
     """[rad/s], shape (n,)."""
 
 
-class ReferencePath(YamlModel):
+class ReferencePath(OneOfKinds):
     """A path in time: its own numbers, and two formulas, which hold for numbers and symbols.
 
-    Velocity, acceleration and yaw rate are their derivatives. Every number has a default.
+    Velocity, acceleration and yaw rate are their derivatives. A subclass with a ``kind`` of its
+    own can be chosen by that name. Every number has a default; fields that are not one float each
+    are compiled in.
     """
+
+    kind: str = "helix"
+    """Which path."""
 
     def position(self, t: Any, tower: Tower) -> Any:
         """Position at time t [s], world frame [m], shape (3,); of CasADi's functions."""
@@ -65,9 +71,27 @@ class ReferencePath(YamlModel):
             What the path goes around.
         """
         t = np.atleast_1d(np.asarray(time_s, dtype=float))
-        values = reference_function(type(self))(t[None, :], [tower.radius_m, *self.numbers])
+        values = reference_function(self.form)(t[None, :], [*tower.numbers, *self.numbers])
         position, velocity, acceleration, yaw, yaw_rate = (np.asarray(v).T.copy() for v in values)
         return Reference(position, velocity, acceleration, yaw[:, 0], yaw_rate[:, 0])
+
+    def clearance(self, time_s: ArrayLike, tower: Tower) -> NDArray[np.float64]:
+        """Its own distance to the tower's surface at instants [s], d_ref of eq. (2) [m]."""
+        return np.asarray(tower.clearance(self.at(time_s, tower).position))
+
+    def clearance_text(self, duration_s: float, tower: Tower) -> str:
+        """Say its clearance during a flight of that duration [s]: one, or least to most [m]."""
+        clearance = self.clearance(np.linspace(0.0, duration_s, 600), tower)
+        low, high = f"{clearance.min():.6g}", f"{clearance.max():.6g}"
+        return f"{low} m" if low == high else f"{low} to {high} m"
+
+    @property
+    def form(self) -> Self:
+        """The same with all numbers at their defaults: what its compiled formulas depend on."""
+        fields = type(self).model_fields.items()
+        rest = {name: getattr(self, name) for name, info in fields if info.annotation is not float}
+        made: Any = type(self).model_construct(**rest)
+        return made
 
     def facing(self, time_s: float, tower: Tower) -> float:
         """Yaw at one instant [s] [rad], at the cost of arithmetic alone."""
@@ -86,20 +110,20 @@ class ReferencePath(YamlModel):
 
 
 @cache
-def reference_function(kind: type[ReferencePath]) -> ca.Function:
-    """Differentiate a kind of path.
+def reference_function(form: ReferencePath) -> ca.Function:
+    """Differentiate a form of path, whatever its numbers.
 
     Returns
     -------
     casadi.Function
-        (t, [R, numbers of the path]) -> position, velocity, acceleration, yaw, yaw rate.
+        (t, [R, d_min, numbers of the path]) -> position, velocity, acceleration, yaw, yaw rate.
     """
-    path, numbers = kind.symbolic()
-    tower, sizes = Tower.symbolic()
+    path, numbers = form.symbolic()
+    tower, sizes = Tower().symbolic()
     t = ca.SX.sym("t")
     position, yaw = path.position(t, tower), path.yaw(t, tower)
     velocity = ca.jacobian(position, t)
     results = [position, velocity, ca.jacobian(velocity, t), yaw, ca.jacobian(yaw, t)]
     return ca.Function(
-        "reference", [t, ca.vertcat(sizes[0], numbers)], [ca.densify(r) for r in results]
+        "reference", [t, ca.vertcat(sizes, numbers)], [ca.densify(r) for r in results]
     )

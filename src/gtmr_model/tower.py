@@ -58,7 +58,7 @@ def clearance_constraint() -> ca.Function:
     (p, [R, d_min], direction) -> y [m], J_yx, shape (1, 3), which is the position part of eq. (9)
     and the rest of which is zero, and d(J_yx direction)/dp, shape (1, 3).
     """
-    tower, sizes = Tower.symbolic()
+    tower, sizes = Tower().symbolic()
     p, direction = ca.SX.sym("p", 3), ca.SX.sym("direction", 3)
     y = tower.residual(p)
     gradient = ca.jacobian(y, p)

@@ -80,18 +80,19 @@ class YamlModel(BaseModel):
         except ValidationError as error:
             raise ConfigError(f"{source}: {describe(error)}") from None
 
-    @classmethod
-    def symbolic(cls) -> tuple[Self, ca.SX]:
-        """Make an instance whose numbers are symbols: its formulas then give expressions.
+    def symbolic(self) -> tuple[Self, ca.SX]:
+        """Put symbols in the place of the numbers: the formulas then give expressions.
 
         Returns
         -------
         tuple of Self and casadi.SX
             The instance, and the symbols in the order of `numbers`.
         """
-        names = [name for name, info in cls.model_fields.items() if info.annotation is float]
+        fields = type(self).model_fields.items()
+        names = [name for name, info in fields if info.annotation is float]
         symbols: dict[str, Any] = {name: ca.SX.sym(name) for name in names}
-        made: Any = cls.model_construct(**symbols)
+        rest = {name: getattr(self, name) for name, _ in fields if name not in symbols}
+        made: Any = type(self).model_construct(**rest, **symbols)
         return made, ca.vertcat(*symbols.values())
 
     @property

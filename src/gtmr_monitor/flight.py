@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gtmr_model import Helix, Tower
+from gtmr_model import ReferencePath, Tower
 from gtmr_monitor.residual import (
     ResidualStatistics,
     SolveStatistics,
@@ -99,7 +99,7 @@ class Flight:
     """T_s, within which a step should be done [ms]; NaN if not recorded."""
     tower: Tower
     """What was flown around."""
-    helix: Helix
+    helix: ReferencePath
     """What was to be followed."""
     zeta: tuple[float, ...] | None = None
     """The true mismatch and wind bias, eq. (4), 9 numbers; None if not recorded."""

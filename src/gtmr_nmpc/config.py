@@ -15,7 +15,15 @@ from typing import Annotated, Literal
 from pydantic import Field, SerializeAsAny, model_validator
 from typing_extensions import Self
 
-from gtmr_model import Helix, NamedVehicle, Tower, UncertaintySet, Vehicle, YamlModel
+from gtmr_model import (
+    Helix,
+    NamedVehicle,
+    ReferencePath,
+    Tower,
+    UncertaintySet,
+    Vehicle,
+    YamlModel,
+)
 from gtmr_nmpc.margins import Margin, PaperMargin
 
 Mode = Literal["nominal", "robust"]
@@ -55,8 +63,8 @@ class ControllerConfig(YamlModel):
     """Nominal parameters of the vehicle."""
     tower: Tower = Tower()
     """What to keep away from."""
-    helix: Helix = Helix()
-    """What to follow."""
+    helix: SerializeAsAny[ReferencePath] = Helix()
+    """What to follow: a helix, or another path by its kind and numbers."""
     uncertainty: UncertaintySet = UncertaintySet()
     """What the robust mode guards against."""
     weights: Weights = Weights()

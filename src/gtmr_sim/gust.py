@@ -62,7 +62,8 @@ def _ou(scenario: Scenario) -> Gust:
 
 @GUSTS.register("dryden")
 def _dryden(scenario: Scenario) -> Gust:
-    config, height_m = scenario.gust, scenario.helix.start_height_m
+    config = scenario.gust
+    height_m = float(scenario.helix.at(0.0, scenario.tower).position[0, 2])
     return _coloured_noise(dryden(config.std_n, config.airspeed_m_s, height_m), scenario)
 
 

@@ -16,10 +16,19 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, SerializeAsAny, model_validator
 from typing_extensions import Self
 
-from gtmr_model import ConfigError, Helix, NamedVehicle, Tower, UncertaintySet, Vehicle, YamlModel
+from gtmr_model import (
+    ConfigError,
+    Helix,
+    NamedVehicle,
+    ReferencePath,
+    Tower,
+    UncertaintySet,
+    Vehicle,
+    YamlModel,
+)
 from gtmr_sim.registry import EFFECTS, GUSTS
 
 GUST_KINDS = ("ou", "dryden", "sinusoid", "worst-case", "none")
@@ -79,7 +88,7 @@ class Scenario(YamlModel):
     """Nominal parameters, from which ``zeta`` deviates."""
     tower: Tower = Tower()
     """What is flown around."""
-    helix: Helix = Helix()
+    helix: SerializeAsAny[ReferencePath] = Helix()
     """Where the flight starts: on the reference, at its velocity."""
     uncertainty: UncertaintySet = UncertaintySet()
     """Bounds on ``zeta`` and on the gusts."""

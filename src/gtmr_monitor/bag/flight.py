@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gtmr_model import ConfigError, Helix, Tower
+from gtmr_model import ConfigError, ReferencePath, Tower
 from gtmr_model.uncertainty import N_ZETA
 from gtmr_monitor.bag.format import BagError
 from gtmr_monitor.bag.recording import Change, Recorded, Recording
@@ -125,7 +125,7 @@ def flight_of(recording: Recording) -> Flight:
         modes=_modes(time_of(switches).tolist(), [change.values["mode"] for change in switches]),
         deadline_ms=1e3 * float(nmpc.get("sampling_time_s", math.nan)),
         tower=tower,
-        helix=_model(path, Helix, "helix", (nmpc, sim)),
+        helix=_model(path, ReferencePath, "helix", (nmpc, sim)),
         zeta=tuple(sim["zeta"]) if "zeta" in sim else None,
         gust=sim.get("gust.kind"),
         seed=sim.get("seed"),
@@ -163,7 +163,7 @@ def _model(path: Path, kind: type[Any], prefix: str, candidates: Iterable[dict[s
                 return kind.parse(fields, str(path))
             except ConfigError as error:
                 raise BagError(str(error)) from None
-    return kind()
+    return kind.parse({}, str(path))
 
 
 def _margins(t: Array, items: list[Recorded], notes: list[str]) -> MarginHistory:

@@ -200,7 +200,7 @@ _CONDITIONS: tuple[Row, ...] = (
     ("duration", lambda f: f"{f.duration_s:.1f} s"),
     ("tower radius", lambda f: f"{f.tower.radius_m:g} m"),
     ("least clearance d<sub>min</sub>", lambda f: f"{f.tower.min_clearance_m:g} m"),
-    ("reference clearance", lambda f: f"{f.helix.offset_m:g} m"),
+    ("reference clearance", lambda f: f.helix.clearance_text(f.duration_s, f.tower)),
     ("sampling time", lambda f: None if math.isnan(f.deadline_ms) else f"{f.deadline_ms:g} ms"),
     *((f"true mismatch, {name}", _channel(j, "%", 100, 1)) for j, name in enumerate(CHANNELS[:6])),
     *(

@@ -15,7 +15,7 @@ from importlib.resources import files
 import casadi as ca
 
 from gtmr_codegen.c_source import c_function
-from gtmr_model import N_ZETA
+from gtmr_model import N_ZETA, ConfigError
 from gtmr_model.dynamics import ROTORS
 from gtmr_model.reference import reference_function
 from gtmr_model.tower import clearance_constraint
@@ -34,7 +34,7 @@ WRITTEN_FLAGS = ("-O3", "-ffp-contract=fast")
 def c_sources(config: ControllerConfig) -> dict[str, str]:
     """All sources of the controller of a problem, by file name.
 
-    They depend on the vehicle's dynamics, the kind of reference, T_s and N alone; all else is in
+    They depend on the vehicle's dynamics, the reference's form, T_s and N alone; all else is in
     ``gtmr_parameters``.
     """
     folder = files("gtmr_nmpc.compiled") / "c"
@@ -97,8 +97,8 @@ def _model(config: ControllerConfig) -> dict[str, str]:
  * (x, u, lambda, Pi s, s) -> gradient of lambda' (dF/dx Pi s + dF/dzeta s) in (x, u). */
 {prototypes}
 
-/* One point a call. (t, R, numbers of the reference) -> r, in the order of h. (p, R, d_min) -> y
- * and J_yx, (p, direction) -> d(J_yx direction)/dp, both horizontal. */
+/* One point a call. (t, R, d_min, numbers of the reference) -> r, in the order of h. (p, R, d_min)
+ * -> y and J_yx, (p, direction) -> d(J_yx direction)/dp, both horizontal. */
 {prototypes_by_point}
 
 /* h, eq. (6): the state that an output is, or none, and then it is an acceleration. */
@@ -138,12 +138,13 @@ def _linearise(config: ControllerConfig) -> tuple[ca.Function, ca.Sparsity, ca.S
 
 def _reference(config: ControllerConfig) -> ca.Function:
     """R of eq. (6): level, and turning with the yaw of the reference."""
-    follow = reference_function(type(config.helix))
+    follow = reference_function(config.helix.form)
     t, numbers = ca.SX.sym("t"), ca.SX.sym("numbers", follow.size1_in(1))
-    if numbers.numel() > 1 + MAX_REFERENCE_NUMBERS:
-        raise ValueError(
-            f"{type(config.helix).__name__} has {numbers.numel() - 1} numbers: a compiled "
-            f"reference has at most {MAX_REFERENCE_NUMBERS}"
+    count = len(config.helix.numbers)
+    if count > MAX_REFERENCE_NUMBERS:
+        raise ConfigError(
+            f"helix.kind = {config.helix.kind!r}: has {count} numbers, a compiled reference has "
+            f"at most {MAX_REFERENCE_NUMBERS}"
         )
     position, velocity, acceleration, yaw, yaw_rate = follow(t, numbers)
     r = ca.vertcat(position, velocity, acceleration, 0, 0, yaw, 0, 0, yaw_rate)

@@ -163,7 +163,7 @@ def _compiled_part(config: ControllerConfig) -> ControllerConfig:
     """Keep only what the sources depend on, so that the rest does not compile them again."""
     return ControllerConfig(
         vehicle=config.vehicle,
-        helix=type(config.helix)(),
+        helix=config.helix.form,
         horizon=config.horizon,
         sampling_time_s=config.sampling_time_s,
     )

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gtmr_model import Helix
 from gtmr_model.dynamics import POSITION, VELOCITY, YAW
 from gtmr_nmpc import ControllerConfig
 from gtmr_nmpc.reference.rti import RealTimeIteration, Trajectory
@@ -66,7 +67,7 @@ class _MovingLoop:
         self._config = config
         self._rti = RealTimeIteration(config)
         self._turn = config.helix.at(0.0, config.tower).yaw_rate[0] * config.sampling_time_s
-        self._climb = config.helix.climb_m_s * config.sampling_time_s
+        self._climb = Helix.required(config.helix).climb_m_s * config.sampling_time_s
         self._back = Rotation.from_euler("Z", -self._turn).as_matrix()
         self._guess: Trajectory | None = None
 

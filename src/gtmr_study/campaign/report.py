@@ -124,6 +124,8 @@ _ROWS: tuple[tuple[str, Value], ...] = (
 
 def _conditions(campaign: Campaign) -> list[tuple[str, list[str]]]:
     study = campaign.study
+    helix, tower = study.controller.helix, study.controller.tower
+    reference_clearance = helix.clearance_text(study.duration_s, tower)
     return [
         ("plan", [escape(study.plan.kind)]),
         ("trials", [str(study.n_trials)]),
@@ -132,5 +134,5 @@ def _conditions(campaign: Campaign) -> list[tuple[str, list[str]]]:
         ("gusts", [escape(study.gust.kind)]),
         ("vehicle", [escape(study.controller.vehicle.name)]),
         ("least clearance d<sub>min</sub>", [f"{study.controller.tower.min_clearance_m:g} m"]),
-        ("reference clearance", [f"{study.controller.helix.offset_m:g} m"]),
+        ("reference clearance", [reference_clearance]),
     ]

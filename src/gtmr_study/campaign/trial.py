@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from gtmr_model import CHANNELS, Tower
+from gtmr_model import CHANNELS
 from gtmr_nmpc import Controller
-from gtmr_sim import FlightLog, StepController, fly
+from gtmr_sim import FlightLog, Scenario, StepController, fly
 from gtmr_study.campaign.study import Study
 from gtmr_study.own_controller import OwnController
 from gtmr_study.result_files import one_line
@@ -77,7 +77,7 @@ def fly_trial(study: Study, trial: int, mode: str, own: OwnController | None = N
             else own.make(study.controller)
         )
         log = fly(scenario, controller, study.duration_s, study.controller.sampling_time_s)
-        row.update(status=FLOWN, **_figures(log, scenario.tower, study.controller.helix.offset_m))
+        row.update(status=FLOWN, **_figures(log, scenario))
     except Exception as error:
         # Whatever goes wrong in one of many trials belongs into its row, not to the campaign.
         row.update(status=ERROR, error=one_line(error))
@@ -89,7 +89,9 @@ def empty_row(trial: int, mode: str) -> Row:
     return {**dict.fromkeys(COLUMNS, ""), "trial": trial, "mode": mode}
 
 
-def _figures(log: FlightLog, tower: Tower, offset_m: float) -> Row:
+def _figures(log: FlightLog, scenario: Scenario) -> Row:
+    tower = scenario.tower
+    off_reference_m = log.d_T - scenario.helix.clearance(log.t, tower)
     residual = tower.min_clearance_m - log.d_T
     if not np.isfinite(residual).all():
         raise ValueError("the flight diverged: its clearance is not finite")
@@ -103,7 +105,7 @@ def _figures(log: FlightLog, tower: Tower, offset_m: float) -> Row:
         "residual_min_m": round(float(residual.min()), 6),
         **dict(zip(QUANTILE_COLUMNS, percentiles, strict=True)),
         "residual_max_m": round(highest, 6),
-        "radial_rms_m": round(float(np.sqrt(np.mean((log.d_T - offset_m) ** 2))), 6),
+        "radial_rms_m": round(float(np.sqrt(np.mean(off_reference_m**2))), 6),
         # None leaves the cell empty.
         "max_slack_m": None if log.max_slack_m is None else round(log.max_slack_m, 6),
         "failed_steps": log.failed_steps,

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gtmr_model import N_ZETA
+from gtmr_model import N_ZETA, Helix
 from gtmr_nmpc import MODES, ControllerConfig, Mode
 from gtmr_sim import GustConfig
 from gtmr_study.campaign.study import Study
@@ -198,6 +198,7 @@ def _values(study: Study, results: dict[str, Any]) -> Values:
     nominal, robust, tower = summary["nominal"], summary["robust"], config.tower
     shift_m = nominal["residual_m"]["median"] - robust["residual_m"]["median"]
     their_shift_m = PAPER["nominal"].residual_m["median"] - PAPER["robust"].residual_m["median"]
+    offset_m = Helix.required(config.helix).offset_m
     found = {part: by for part, by in results["first_order"].items() if part != "plans"}
     used = {part: max(by_stage["max"]) for part, by_stage in found.items()}
     states = N_ZETA * config.vehicle.n_x
@@ -213,8 +214,8 @@ def _values(study: Study, results: dict[str, Any]) -> Values:
         least=min(nominal["trials"], robust["trials"]),
         left=robust["violations"] or "none",
         success=100.0 * (1.0 - robust["violations"] / robust["trials"]),
-        d_ref=config.helix.offset_m,
-        centre=tower.min_clearance_m - config.helix.offset_m,
+        d_ref=offset_m,
+        centre=tower.min_clearance_m - offset_m,
         shift_mm=1e3 * shift_m,
         their_shift_mm=1e3 * their_shift_m,
         # Rounded, with no sign on what is none.

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from gtmr_model import Helix, Tower
+from gtmr_model import ReferencePath, Tower
 from gtmr_monitor.report import look
 from gtmr_monitor.report.drawing import new_figure
 from gtmr_sim import FlightLog
@@ -59,7 +59,7 @@ def table_ii(summary: dict[str, Any]) -> Figure:
     return figure
 
 
-def fig_1(logs: dict[str, FlightLog], tower: Tower, helix: Helix) -> Figure:
+def fig_1(logs: dict[str, FlightLog], tower: Tower, helix: ReferencePath) -> Figure:
     """Draw Fig. 1: flights under a steady wind, in space, from above and as clearance."""
     figure = new_figure(10.5, 4.0)
     grid = figure.add_gridspec(1, 3, width_ratios=(1.0, 0.9, 1.1))
@@ -90,7 +90,7 @@ def fig_1(logs: dict[str, FlightLog], tower: Tower, helix: Helix) -> Figure:
         above.plot(*log.x[:, :2].T, **pen)
         over_time.plot(log.t, log.d_T, **pen)
     over_time.axhline(tower.min_clearance_m, color=look.LIMIT, linestyle="--", linewidth=1.0)
-    over_time.axhline(helix.offset_m, **dots)
+    over_time.plot(some.t, helix.clearance(some.t, tower), **dots)
     space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     # Smaller, as the layout leaves no room for the labels of a third axis.
     space.set_box_aspect((1.0, 1.0, 1.0), zoom=0.85)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from gtmr_model import CHANNELS
+from gtmr_model import CHANNELS, Helix
 from gtmr_nmpc import Controller, ControllerConfig, Solution
 
 ORBIT_SAMPLES = 24
@@ -39,7 +39,7 @@ def alpha_by_helix_speed(config: ControllerConfig) -> list[dict[str, float]]:
     """List ``alpha_n_m``, the last stage's tightening averaged over a turn, by ``speed_m_s``."""
     rows = []
     for speed_m_s in HELIX_SPEEDS_M_S:
-        helix = config.helix.model_copy(update={"speed_m_s": speed_m_s})
+        helix = Helix.required(config.helix).model_copy(update={"speed_m_s": speed_m_s})
         budget = margin_budget(config.model_copy(update={"helix": helix}))
         rows.append({"speed_m_s": speed_m_s, "alpha_n_m": budget["total"]})
     return rows
@@ -60,7 +60,7 @@ def hoelder_ratio(config: ControllerConfig) -> float:
 
 
 def _plans_of_a_turn(config: ControllerConfig) -> list[Solution]:
-    controller, helix = Controller(config, "robust"), config.helix
+    controller, helix = Controller(config, "robust"), Helix.required(config.helix)
     turn_s = 2.0 * np.pi / helix.at(0.0, config.tower).yaw_rate[0]
     plans = []
     for turned in np.arange(ORBIT_SAMPLES) / ORBIT_SAMPLES:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from gtmr_model import N_ZETA
+from gtmr_model import N_ZETA, Helix
 from gtmr_model.dynamics import ATTITUDE, POSITION, YAW
 from gtmr_monitor.report.drawing import save
 from gtmr_nmpc import MODES, Controller, Mode
@@ -89,6 +89,7 @@ def reproduce(
     ``variants``.
     """
     tell = on_progress if on_progress is not None else lambda what, done, total: None
+    Helix.required(base.controller.helix)
     study = base.model_copy(
         update={"modes": MODES, "trials": effort.trials, "duration_s": effort.duration_s}
     )

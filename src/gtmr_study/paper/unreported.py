@@ -15,6 +15,7 @@ from functools import reduce
 from operator import attrgetter, getitem
 from typing import Any
 
+from gtmr_model import Helix
 from gtmr_nmpc import ControllerConfig
 from gtmr_sim import GustConfig
 from gtmr_study.campaign.study import Study
@@ -84,6 +85,7 @@ UNREPORTED: dict[str, Unreported] = {
 
 def with_values(values: dict[str, float], base: Study) -> Study:
     """Put values by the names of `UNREPORTED` into a study; ConfigError if one is not allowed."""
+    Helix.required(base.controller.helix)
     data: Any = {"controller": base.controller.model_dump(), "gust": base.gust.model_dump()}
     for name, value in values.items():
         for path, divisor in UNREPORTED[name].fields.items():
@@ -99,6 +101,7 @@ def with_values(values: dict[str, float], base: Study) -> Study:
 
 def values_of(study: Study) -> dict[str, float]:
     """Read the values that the paper leaves out off a study, by the names of `UNREPORTED`."""
+    Helix.required(study.controller.helix)
     return {
         name: attrgetter(next(iter(known.fields)))(study) for name, known in UNREPORTED.items()
     }

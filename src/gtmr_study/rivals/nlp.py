@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from gtmr_model import N_ZETA
+from gtmr_model import N_ZETA, Helix
 from gtmr_model.dynamics import (
     ATTITUDE,
     POSITION,
@@ -224,7 +224,7 @@ def stage_cost(config: ControllerConfig, x: Any, u: Any, acceleration: Any, r: A
     The reference r is position, velocity, acceleration and yaw, 10 numbers.
     """
     w, attitude = config.weights, x[ATTITUDE]
-    yaw_rate = config.helix.at(0.0, config.tower).yaw_rate[0]
+    yaw_rate = Helix.required(config.helix).at(0.0, config.tower).yaw_rate[0]
     return (
         _weighted(w.position, x[POSITION] - r[0:3])
         + _weighted(w.velocity, x[VELOCITY] - r[3:6])

@@ -96,9 +96,10 @@ static void terminal_gradient(gtmr_controller *c, const double *reference)
 
 void gtmr_linearise(gtmr_controller *c, double t)
 {
-    double follow[2 + sizeof c->parameters.reference / sizeof(double)];
+    double follow[3 + sizeof c->parameters.reference / sizeof(double)];
     follow[1] = c->parameters.tower_radius_m;
-    memcpy(follow + 2, c->parameters.reference, sizeof c->parameters.reference);
+    follow[2] = c->parameters.min_clearance_m;
+    memcpy(follow + 3, c->parameters.reference, sizeof c->parameters.reference);
     for (int first = 0; first < STAGES; first += VEC) {
         for (int which = 0; which < VEC; ++which) {
             put(c, smaller(first + which, STAGES - 1), which);
