@@ -85,11 +85,14 @@ class RecordedParameters:
         if self._config is None:
             taken |= _flat(self.config.model_dump(mode="json", exclude={"vehicle"}))
             taken |= {} if self._vehicle else {"vehicle": self.config.vehicle.name}
-        return {
-            name: value
-            for name, value in taken.items()
-            if not any(f"{told}.".startswith(f"{name}.") for told in self._values)
-        }
+        return {name: value for name, value in taken.items() if not self._is_told(name)}
+
+    def _is_told(self, name: str) -> bool:
+        """Whether the bag has a parameter, a part of it, or what it is a part of by name."""
+        return any(
+            f"{told}.".startswith(f"{name}.") or f"{name}.".startswith(f"{told}.")
+            for told in self._values
+        )
 
 
 def _flat(data: Mapping[str, Any], above: str = "") -> dict[str, Any]:
