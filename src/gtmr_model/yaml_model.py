@@ -34,10 +34,7 @@ class ConfigError(ValueError):
 def describe(error: ValidationError) -> str:
     """Say in one line which fields are wrong, which values they had and what is allowed.
 
-    Returns
-    -------
-    str
-        For example ``mass_kg = -1.0: Input should be greater than 0``.
+    For example ``mass_kg = -1.0: Input should be greater than 0``.
     """
     problems = []
     for problem in error.errors():
@@ -65,15 +62,7 @@ class YamlModel(BaseModel):
     def parse(cls, data: Any, source: str) -> Self:
         """Validate plain data, for example the content of a YAML file.
 
-        Returns
-        -------
-        Self
-            The validated configuration.
-
-        Raises
-        ------
-        ConfigError
-            If a field is missing, unknown or out of range.
+        Raises ConfigError if a field is missing, unknown or out of range.
         """
         try:
             return cls.model_validate(data)
@@ -83,10 +72,7 @@ class YamlModel(BaseModel):
     def symbolic(self) -> tuple[Self, ca.SX]:
         """Put symbols in the place of the numbers: the formulas then give expressions.
 
-        Returns
-        -------
-        tuple of Self and casadi.SX
-            The instance, and the symbols in the order of `numbers`.
+        The symbols come with it, in the order of `numbers`.
         """
         fields = type(self).model_fields.items()
         names = [name for name, info in fields if info.annotation is float]
@@ -105,15 +91,8 @@ class YamlModel(BaseModel):
     def from_yaml(cls, path: str | Path) -> Self:
         """Read and validate a YAML file.
 
-        Returns
-        -------
-        Self
-            The validated configuration.
-
-        Raises
-        ------
-        ConfigError
-            If the file cannot be read, is no YAML, or a field is missing, unknown or out of range.
+        Raises ConfigError if the file cannot be read, is no YAML, or a field is missing, unknown
+        or out of range.
         """
         path = Path(path)
         try:
@@ -127,24 +106,9 @@ class YamlModel(BaseModel):
 
     @classmethod
     def preset(cls, kind: str, name: str) -> Self:
-        """Read one of the configurations that come with the package.
+        """Read a configuration that comes with the package, as ``paper`` of the kind ``vehicle``.
 
-        Parameters
-        ----------
-        kind : str
-            The folder under ``config/``, for example ``vehicle``.
-        name : str
-            A preset of that kind, for example ``paper``.
-
-        Returns
-        -------
-        Self
-            The validated configuration.
-
-        Raises
-        ------
-        ConfigError
-            If there is no such preset.
+        The kind is the folder under ``config/``. Raises ConfigError if there is no such preset.
         """
         folder = files("gtmr_model") / "config" / kind
         files_there = (Path(entry.name) for entry in folder.iterdir())
@@ -155,24 +119,9 @@ class YamlModel(BaseModel):
 
     @classmethod
     def load(cls, kind: str, name_or_path: str) -> Self:
-        """Read a preset by its name, or a YAML file by its path.
+        """Read a preset of a kind by its name, or a YAML file (``.yaml``, ``.yml``) by its path.
 
-        Parameters
-        ----------
-        kind : str
-            The folder under ``config/``, for example ``vehicle``.
-        name_or_path : str
-            A preset's name, or a path that ends in ``.yaml`` or ``.yml``.
-
-        Returns
-        -------
-        Self
-            The validated configuration.
-
-        Raises
-        ------
-        ConfigError
-            If there is no such preset or file, or its content is wrong.
+        Raises ConfigError if there is no such preset or file, or its content is wrong.
         """
         if name_or_path.endswith((".yaml", ".yml")):
             return cls.from_yaml(name_or_path)
@@ -223,17 +172,9 @@ class OneOfKinds(YamlModel):
     def load(cls, kind: str, name_or_path: str) -> Self:
         """Make a member by its name, all else at its defaults, or read it from a YAML file.
 
-        Parameters
-        ----------
-        kind : str
-            What to call it in an error, for example ``margin``.
-        name_or_path : str
-            A member's name, or a path that ends in ``.yaml`` or ``.yml``.
-
-        Raises
-        ------
-        ConfigError
-            If there is no such member or file, or its content is wrong.
+        The file is a path that ends in ``.yaml`` or ``.yml``; the kind is what an error calls it,
+        for example ``margin``. Raises ConfigError if there is no such member or file, or its
+        content is wrong.
         """
         if name_or_path.endswith((".yaml", ".yml")):
             return cls.from_yaml(name_or_path)

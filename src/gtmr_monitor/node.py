@@ -321,18 +321,7 @@ def _offered(qos: QoSProfile) -> OfferedQos:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node ``monitor``.
-
-    Parameters
-    ----------
-    args : list of str, optional
-        Command line with ROS arguments; ``sys.argv`` if left out.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after SIGINT or SIGTERM, 2 for a bad parameter.
-    """
+    """Run the node ``monitor``: exit code 0 after SIGINT or SIGTERM, 2 for a bad parameter."""
     return run(MonitorNode, args)
 
 

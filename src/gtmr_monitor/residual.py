@@ -79,10 +79,7 @@ def residual_statistics(residual_m: ArrayLike, min_clearance_m: float) -> Residu
 def solve_statistics(solve_ms: ArrayLike) -> SolveStatistics:
     """Summarise the solve times of a flight [ms].
 
-    Raises
-    ------
-    ValueError
-        If there is no sample, or one is not a finite number.
+    Raises ValueError if there is no sample, or one is not a finite number.
     """
     median, p99, high = np.percentile(_samples("solve_ms", solve_ms), (50, 99, 100))
     return {"median": float(median), "p99": float(p99), "max": float(high)}

@@ -35,19 +35,12 @@ def read_flights(path: str | Path, vehicle: str | None = None) -> list[Flight]:
     """Read the flights of all vehicles in a bag, or of one of them.
 
     Where the simulation was reset, a flight is what came after the last reset. A bag without an
-    end is read up to its last whole chunk, with a ``TruncatedBagWarning``.
+    end is read up to its last whole chunk, with a ``TruncatedBagWarning``. A bag is a rosbag2
+    folder, with or without its metadata.yaml, or an MCAP file; a vehicle is the namespace of its
+    nodes, for example ``hex1`` or ``/hex1``, or ``/`` for none.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        A rosbag2 folder, with or without its metadata.yaml, or an MCAP file.
-    vehicle : str, optional
-        Namespace of its nodes, for example ``hex1`` or ``/hex1``; ``/`` for none.
-
-    Raises
-    ------
-    BagError
-        If the path is not a bag, or holds no odometry on a topic ``odom``, or not that vehicle's.
+    Raises BagError if the path is not a bag, or holds no odometry on a topic ``odom``, or not that
+    vehicle's.
     """
     return [flight_of(recording) for recording in read_recordings(path, vehicle)]
 
@@ -55,10 +48,7 @@ def read_flights(path: str | Path, vehicle: str | None = None) -> list[Flight]:
 def read_flight(path: str | Path, vehicle: str | None = None) -> Flight:
     """Read a flight as `read_flights` does, of a bag with one vehicle or of the one named.
 
-    Raises
-    ------
-    BagError
-        As `read_flights`, and if there are several vehicles and none is named.
+    Raises BagError as `read_flights`, and if there are several vehicles and none is named.
     """
     recordings = read_recordings(path, vehicle)
     if len(recordings) > 1:

@@ -62,10 +62,7 @@ class BagMessage:
     def decode(self) -> Any:
         """Deserialise the message into an object with the fields of the ROS message.
 
-        Raises
-        ------
-        BagError
-            If the data do not fit the type.
+        Raises BagError if the data do not fit the type.
         """
         try:
             return typestore().deserialize_cdr(self.data, self.msgtype)
@@ -93,12 +90,8 @@ def bag_files(path: str | Path) -> list[Path]:
 def read_messages(path: str | Path) -> Iterator[BagMessage]:
     """Read the messages of a bag in the order in which they were recorded.
 
-    A bag without an end is read up to its last whole chunk, with a ``TruncatedBagWarning``.
-
-    Raises
-    ------
-    BagError
-        If the path is not a bag.
+    A bag without an end is read up to its last whole chunk, with a ``TruncatedBagWarning``. Raises
+    BagError if the path is not a bag.
     """
     for file in bag_files(path):
         yield from _read_file(file)

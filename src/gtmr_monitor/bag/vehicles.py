@@ -37,19 +37,9 @@ def read_recording(
 ) -> Recording:
     """Read the flight of one vehicle, also of a bag from elsewhere.
 
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        A rosbag2 folder, with or without its metadata.yaml, or an MCAP file.
-    odom : str, optional
-        Topic of the odometry; needed if there are several and none is named ``odom``.
-    rotors : str, optional
-        Topic of the rotor speeds; ``rotor_states`` beside the odometry if left out.
-
-    Raises
-    ------
-    BagError
-        If the path is not a bag, holds no odometry that can be used, or not what is asked for.
+    The topic of the odometry is needed if there are several and none is named ``odom``; that of
+    the rotor speeds is ``rotor_states`` beside the odometry if left out. Raises BagError if the
+    path is not a bag, holds no odometry that can be used, or not what is asked for.
     """
     bag = _Bag(Path(path))
     if odom is None:

@@ -74,22 +74,11 @@ class _File:
 
 
 class BagWriter:
-    """Writes serialised messages into a new rosbag2 folder.
+    """Writes serialised messages into a new rosbag2 folder, which is made if it does not exist.
 
-    A chunk is closed and flushed to the operating system at the latest with the first write
-    after ``flush_period_s``, or by :meth:`flush`. Nothing that exists is ever overwritten.
-
-    Parameters
-    ----------
-    folder : str or pathlib.Path
-        The bag; made if it does not exist.
-    flush_period_s : float
-        Age at which a chunk is closed [s].
-
-    Raises
-    ------
-    BagError
-        If the folder is not empty, is no folder, or cannot be written.
+    A chunk is closed and flushed to the operating system at the latest with the first write after
+    ``flush_period_s`` [s], or by :meth:`flush`. Nothing that exists is ever overwritten. Raises
+    BagError if the folder is not empty, is no folder, or cannot be written.
     """
 
     def __init__(self, folder: str | Path, flush_period_s: float = FLUSH_PERIOD_S) -> None:
@@ -126,10 +115,7 @@ class BagWriter:
     def add_topic(self, name: str, msgtype: str, qos: OfferedQos | None = None) -> None:
         """Announce a topic by its full name; its message definition goes into the bag.
 
-        Raises
-        ------
-        BagError
-            If the message type is not one of Jazzy's.
+        Raises BagError if the message type is not one of Jazzy's.
         """
         store = typestore()
         if msgtype not in store.types:
@@ -166,10 +152,7 @@ class BagWriter:
     ) -> None:
         """Append a message in CDR, received and sent at those Unix times [ns].
 
-        Raises
-        ------
-        BagError
-            If the medium takes no more; the bag then ends at its last whole chunk.
+        Raises BagError if the medium takes no more; the bag then ends at its last whole chunk.
         """
         channel = self._channels[topic]
         try:
@@ -192,10 +175,7 @@ class BagWriter:
     def flush(self) -> None:
         """Close the chunk in progress and hand it to the operating system.
 
-        Raises
-        ------
-        BagError
-            If the medium takes no more; the bag then ends at its last whole chunk.
+        Raises BagError if the medium takes no more; the bag then ends at its last whole chunk.
         """
         try:
             self._mcap.flush()
@@ -207,10 +187,7 @@ class BagWriter:
     def close(self) -> None:
         """Write index and metadata.yaml; a second call does nothing.
 
-        Raises
-        ------
-        BagError
-            If the medium takes no more.
+        Raises BagError if the medium takes no more.
         """
         if self._file.closed:
             return

@@ -122,10 +122,7 @@ class Replay:
     def flown(self) -> Flight:
         """The recorded flight, with what its controller foresaw.
 
-        Raises
-        ------
-        BagError
-            If recorded parameters make no tower or helix.
+        Raises BagError if recorded parameters make no tower or helix.
         """
         flown = replace(flight_of(self.recording), predictions=self._recorded_predictions())
         if self.recording.changes:

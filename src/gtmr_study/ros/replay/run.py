@@ -49,25 +49,12 @@ def replay(
     it: by the same schedule, with the parameters and the mode of that moment. Without recorded
     commands the schedule alone says when.
 
-    Parameters
-    ----------
-    recording : Recording
-        From ``read_recording``.
-    mode : str, optional
-        Controller mode throughout; if left out, as recorded, or robust if that is not recorded.
-    config : ControllerConfig, optional
-        Another problem than the recorded one, throughout.
-    vehicle : Vehicle, optional
-        Another vehicle than the recorded one, or than that of ``config``.
-    on_step : callable, optional
-        Called after every step.
+    A mode or problem that is given holds throughout; if left out it is as recorded, the mode
+    robust where that is not recorded. A vehicle that is given replaces the recorded one, or that
+    of ``config``. ``on_step`` is called after every step.
 
-    Raises
-    ------
-    ConfigError
-        If the recorded parameters make no configuration.
-    BagError
-        If no recorded command answers an odometry of the bag.
+    Raises ConfigError if the recorded parameters make no configuration, BagError if no recorded
+    command answers an odometry of the bag.
     """
     parameters = RecordedParameters(recording, mode, config, vehicle)
     first = parameters.config
