@@ -81,7 +81,17 @@ class OwnController:
         sys.modules[module.__name__] = module
         try:
             exec(compile(self.source, self.path, "exec"), module.__dict__)
+            if not hasattr(module, self.name):
+                classes = [
+                    name
+                    for name, value in vars(module).items()
+                    if isinstance(value, type) and value.__module__ == module.__name__
+                ]
+                known = ", ".join(classes) or "none"
+                raise InputError(f"{self.path} has no class {self.name}: there is {known}")
             controller: StepController = getattr(module, self.name)(config)
+        except InputError:
+            raise
         except Exception as error:
             reason = one_line(error)
             raise InputError(f"{self.path}:{self.name} cannot be made: {reason}") from None

@@ -92,7 +92,7 @@ def test_a_controller_that_fails_has_the_reason_in_its_row(broken):
 @pytest.mark.parametrize(
     ("name", "told"),
     [
-        ("Missing", "AttributeError"),
+        ("Missing", "has no class Missing: there is .*NeedsMore"),
         ("NeedsMore", "TypeError: .*gain"),
         ("Wrong", "has no step"),
         ("nominal", "no name of a class to fly"),

@@ -105,7 +105,7 @@ static void worst_direction(const gtmr_controller *c, int stage, const double *s
     }
 }
 
-/* d(J_yx direction)/dp: the clearance's gradient turns as the vehicle goes round the tower. */
+/* d(J_yx direction)/dp: the clearance's gradient turns as the vehicle goes around the tower. */
 static void curvature(const double *x, const double *direction, double *of)
 {
     const double at[6] = {x[0], x[1], x[2], direction[0], direction[1], direction[2]};
