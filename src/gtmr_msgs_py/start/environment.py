@@ -15,6 +15,8 @@ import sys
 from importlib.resources import files
 from pathlib import Path
 
+from gtmr_msgs_py.start.parent import bound_to_this_process
+
 SINGLE_THREADED_ALGEBRA = {
     "OPENBLAS_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
@@ -25,7 +27,7 @@ only wait for each other, on a busy machine for several times the step itself.""
 
 
 def ros_environment(domain_id: int | None = None) -> dict[str, str]:
-    """Give the environment for nodes that shall find each other fast and nobody else.
+    """Give the environment for nodes that find each other fast and nobody else, and end with us.
 
     What the caller's environment sets already stays, but for ROS_DOMAIN_ID, 0 to 101, if one is
     given: it keeps graphs on one machine apart.
@@ -38,6 +40,7 @@ def ros_environment(domain_id: int | None = None) -> dict[str, str]:
     environment.setdefault("AMENT_PREFIX_PATH", sys.prefix)
     for name, value in SINGLE_THREADED_ALGEBRA.items():
         environment.setdefault(name, value)
+    environment |= bound_to_this_process()
     if domain_id is not None:
         environment["ROS_DOMAIN_ID"] = str(domain_id)
     return environment

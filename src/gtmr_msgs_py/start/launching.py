@@ -25,6 +25,7 @@ from launch.actions import DeclareLaunchArgument, Shutdown
 from launch_ros.actions import Node
 
 from gtmr_msgs_py.start.environment import SINGLE_THREADED_ALGEBRA
+from gtmr_msgs_py.start.parent import bound_to_this_process
 
 if TYPE_CHECKING:
     from launch.events.process import ProcessExited
@@ -181,7 +182,7 @@ def node(
         executable=executable,
         parameters=[parameter_file(given["params_file"]), {**set_by_argument, **parameters}],
         ros_arguments=["--log-level", given["log_level"]],
-        additional_env=SINGLE_THREADED_ALGEBRA,
+        additional_env=SINGLE_THREADED_ALGEBRA | bound_to_this_process(),
         output="screen",
         on_exit=on_exit,
         **_place(given, below),
