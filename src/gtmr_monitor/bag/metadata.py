@@ -6,12 +6,25 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The quality of service that a bag tells to a player."""
+"""What rosbag2's metadata.yaml says of a bag: its files, its topics, their quality of service."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
+
+import yaml
+
+METADATA_VERSION = 9
+"""Version of rosbag2's metadata.yaml, Jazzy's."""
+ROS_DISTRO = "jazzy"
+"""Whose message definitions the bag carries."""
+FILE_NAME = "metadata.yaml"
+"""Beside the MCAP files of a bag."""
+_MOST_BYTES = 10_000_000
+"""No metadata.yaml is as large as that [bytes]."""
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
@@ -40,3 +53,37 @@ class OfferedQos:
             "liveliness_lease_duration": dict(_FOREVER),
             "avoid_ros_namespace_conventions": False,
         }
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a metadata.yaml says there is in a bag."""
+
+    files: tuple[str, ...]
+    """Names of its MCAP files, in order."""
+    messages: int
+    """How many messages there are in all of them."""
+    topics: Mapping[str, int]
+    """How many there are, by topic."""
+
+
+def read_contents(folder: Path) -> Contents | None:
+    """Read what the metadata.yaml of a bag says; None if there is none.
+
+    Raises ValueError if it cannot be read, or is not what rosbag2 writes.
+    """
+    path = folder / FILE_NAME
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise ValueError(f"{path}: too large")
+        bag = yaml.safe_load(path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+        topics = bag["topics_with_message_count"]
+        return Contents(
+            tuple(str(name) for name in bag["relative_file_paths"]),
+            int(bag["message_count"]),
+            {str(t["topic_metadata"]["name"]): int(t["message_count"]) for t in topics},
+        )
+    except FileNotFoundError:
+        return None
+    except Exception as error:  # whatever a broken file makes YAML raise
+        raise ValueError(f"{path}: {error}") from None
