@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,9 +90,9 @@ class FlightLog:
         """Largest slack of any stage and step [m]; None if the controller does not tell."""
         return float(self.slack.max()) if self.slack.size else None
 
-    def save(self, path: Path) -> None:
-        """Write every field to a compressed npz file."""
-        np.savez_compressed(path, **{f.name: getattr(self, f.name) for f in fields(self)})
+    def save(self, file: Path | BinaryIO) -> None:
+        """Write every field to a compressed npz file, by its path or already open."""
+        np.savez_compressed(file, **{f.name: getattr(self, f.name) for f in fields(self)})
 
 
 def fly(

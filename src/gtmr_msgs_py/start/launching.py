@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
 from ament_index_python.packages import (
     PackageNotFoundError,
     get_package_prefix,
@@ -24,6 +23,7 @@ from ament_index_python.packages import (
 from launch.actions import DeclareLaunchArgument, Shutdown
 from launch_ros.actions import Node
 
+from gtmr_model.yaml_file import parse_yaml
 from gtmr_msgs_py.start.environment import SINGLE_THREADED_ALGEBRA
 from gtmr_msgs_py.start.parent import bound_to_this_process
 
@@ -132,7 +132,7 @@ def values(arguments: Mapping[str, Argument], given: Mapping[str, str]) -> dict[
 def _value(name: str, argument: Argument, text: str) -> Any:
     if argument.kind is str:
         return text
-    value = yaml.safe_load(text)
+    value = parse_yaml(text, f"{name}:={text}")
     # Whole numbers do for floats, in lists too.
     if argument.kind is float and type(value) is int:
         return float(value)

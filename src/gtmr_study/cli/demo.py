@@ -101,7 +101,6 @@ def demo_command(
         }
         console.print(f"{mode}: flown {duration:g} s, recorded in {bag}")
     write_report(flights, folder / "report.html")
-    write_json(json, {"modes": results})
     print_flights(results)
     console.print(
         f"Report:  {folder / 'report.html'} (open it in a browser)\n"
@@ -109,6 +108,7 @@ def demo_command(
         "(Foxglove, or ros2 bag play)\n"
         "Next:    gtmr fly --help, README.md"
     )
+    write_json(json, {"modes": results})
     if view is not None and console.is_terminal:
         with contextlib.suppress(EOFError, KeyboardInterrupt):
             console.input(f"Live view: {view.page.url} until you press Enter ")

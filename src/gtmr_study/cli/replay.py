@@ -98,10 +98,10 @@ def replay_command(
         from gtmr_monitor.report.page import write_report
 
         write_report(replayed.flights(), report)
-    write_json(json, result)
     _print_result(result)
     if report is not None:
         console.print(f"Report: {report}")
+    write_json(json, result)
 
 
 def play_command(
