@@ -16,8 +16,8 @@ from launch.actions import ExecuteProcess, OpaqueFunction
 from launch_ros.actions import Node
 
 from gtmr_msgs_py.start import launching
+from gtmr_msgs_py.start.environment import node_environment
 from gtmr_msgs_py.start.launching import IN_FLIGHT_TIME, Argument
-from gtmr_msgs_py.start.parent import bound_to_this_process
 
 START_TIMEOUT_S = 60
 """How long the playback waits for the nodes to listen [s]."""
@@ -51,7 +51,7 @@ def processes(context: LaunchContext) -> list[Node | ExecuteProcess]:
         # As scripts/ find Python: `gtmr` itself is on no path under colcon.
         ExecuteProcess(
             cmd=["python3", "-m", "gtmr_study.cli", *play],
-            additional_env=bound_to_this_process(),
+            additional_env=node_environment(),
             output="screen",
             on_exit=launching.required,
         ),

@@ -95,6 +95,7 @@ def test_viewers_start_only_when_asked_for(launch):
     _, nodes = launch("inspection", viewers=both, rviz="true", foxglove="true")
     assert [node.package for node in nodes[3:]] == ["rviz2", "foxglove_bridge"]
     assert Path(nodes[3].arguments[1]).is_file()
+    assert nodes[4].parameters[0]["address"] == "127.0.0.1"
 
 
 @pytest.mark.parametrize("viewer", ["rviz", "foxglove"])

@@ -1,9 +1,14 @@
 """Processes of this machine, as /proc tells of them."""
 
+import ipaddress
+import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 DEADLINE_S = 60.0
+LISTENS, UNCONNECTED = "0A", "07"
+"""States of a socket that takes what anybody sends."""
 
 
 def _status(process_id):
@@ -56,3 +61,32 @@ def wait_until(condition, deadline_s=DEADLINE_S):
         if time.monotonic() > end:
             raise TimeoutError(f"not so within {deadline_s} s")
         time.sleep(0.02)
+
+
+def open_addresses(process_id):
+    """Addresses at which a process can be reached, as the kernel lists them: (kind, address)."""
+    inodes = set()
+    for entry in Path(f"/proc/{process_id}/fd").iterdir():
+        with suppress(OSError):
+            inodes.add(str(entry.readlink()))
+    found = set()
+    for kind in ("tcp", "tcp6", "udp", "udp6"):
+        lines = Path(f"/proc/{process_id}/net/{kind}").read_text().splitlines()[1:]
+        for fields in map(str.split, lines):
+            waits = fields[3] == LISTENS or (kind.startswith("udp") and fields[3] == UNCONNECTED)
+            if waits and f"socket:[{fields[9]}]" in inodes:
+                found.add((kind, _address(fields[1].partition(":")[0])))
+    return found
+
+
+def _address(digits):
+    """Read an address as /proc writes it: hexadecimal, in words of this machine's byte order."""
+    words = [digits[i : i + 8] for i in range(0, len(digits), 8)]
+    packed = b"".join(int(word, 16).to_bytes(4, sys.byteorder) for word in words)
+    address = ipaddress.ip_address(packed)
+    return getattr(address, "ipv4_mapped", None) or address
+
+
+def is_open_to_the_network(address):
+    """Whether others can reach it; a group of addresses is joined on loopback alone, then."""
+    return not (address.is_loopback or address.is_multicast)

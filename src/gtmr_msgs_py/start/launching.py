@@ -24,8 +24,7 @@ from launch.actions import DeclareLaunchArgument, Shutdown
 from launch_ros.actions import Node
 
 from gtmr_model.yaml_file import parse_yaml
-from gtmr_msgs_py.start.environment import SINGLE_THREADED_ALGEBRA
-from gtmr_msgs_py.start.parent import bound_to_this_process
+from gtmr_msgs_py.start.environment import node_environment
 
 if TYPE_CHECKING:
     from launch.events.process import ProcessExited
@@ -79,6 +78,7 @@ EVERYWHERE = {
     ),
     "rviz": Argument("Whether to open RViz", "false", kind=bool),
     "foxglove": Argument("Whether to start foxglove_bridge", "false", kind=bool),
+    "address": Argument("Where foxglove_bridge listens; 0.0.0.0 is everywhere", "127.0.0.1"),
 }
 """Arguments of every launch file."""
 COMMON = {
@@ -182,7 +182,7 @@ def node(
         executable=executable,
         parameters=[parameter_file(given["params_file"]), {**set_by_argument, **parameters}],
         ros_arguments=["--log-level", given["log_level"]],
-        additional_env=SINGLE_THREADED_ALGEBRA | bound_to_this_process(),
+        additional_env=node_environment(),
         output="screen",
         on_exit=on_exit,
         **_place(given, below),
@@ -192,6 +192,7 @@ def node(
 def views(given: Mapping[str, Any], below: tuple[str, ...] = ("",)) -> list[Node]:
     """Start the viewers that were asked for, RViz once for each namespace; both may be closed."""
     config = ["-d", str(share() / "rviz" / "inspection.rviz")]
+    listening: dict[str, dict[str, Any]] = {"foxglove": {"address": given["address"]}}
     places: dict[str, list[dict[str, Any]]] = {
         "rviz": [_place(given, each) for each in below],
         "foxglove": [{}],
@@ -201,7 +202,7 @@ def views(given: Mapping[str, Any], below: tuple[str, ...] = ("",)) -> list[Node
             package=package,
             executable=package,
             arguments=config if name == "rviz" else [],
-            parameters=[IN_FLIGHT_TIME],
+            parameters=[IN_FLIGHT_TIME | listening.get(name, {})],
             **place,
         )
         for name, package in VIEWERS.items()
