@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gtmr_guard import Guard
+from gtmr_guard import Guard, GuardConfig
 from gtmr_sim.gust import make_gust
 from gtmr_sim.plant import Plant
 from gtmr_sim.registry import EFFECTS
@@ -45,7 +45,11 @@ class Simulation:
         )
         self._guard = None
         if scenario.guard == "retreat":
-            self._guard = Guard(scenario.vehicle, scenario.tower)
+            # A controller that plans seldom may miss two plans as well.
+            age_s = max(GuardConfig().max_plan_age_s, 3.0 * plan_step_s)
+            self._guard = Guard(
+                scenario.vehicle, scenario.tower, GuardConfig(max_plan_age_s=age_s)
+            )
         self.reset()
 
     def reset(self) -> None:
