@@ -234,9 +234,9 @@ def within(base: Array, more: Array, low: float, high: float) -> Array:
     """Add as much of what is asked for more as stays between the bounds."""
     share = 1.0
     for b, m in zip(base, more, strict=True):
-        if b + share * m > high:
+        if m > 0.0 and b + share * m > high:
             share = max(0.0, (high - b) / m)
-        elif b + share * m < low:
+        elif m < 0.0 and b + share * m < low:
             share = max(0.0, (low - b) / m)
     return base + share * more
 

@@ -281,9 +281,9 @@ static void allocate(const gtmr_guard_parameters *k, const double *wrench, int f
         more[i] = 0.0;
         for (j = from; j < end; j++)
             more[i] += k->inverse[i][j] * wrench[j];
-        if (squared[i] + share * more[i] > high)
+        if (more[i] > 0.0 && squared[i] + share * more[i] > high)
             share = fmax(0.0, (high - squared[i]) / more[i]);
-        else if (squared[i] + share * more[i] < low)
+        else if (more[i] < 0.0 && squared[i] + share * more[i] < low)
             share = fmax(0.0, (low - squared[i]) / more[i]);
     }
     for (i = 0; i < ROTORS; i++)
