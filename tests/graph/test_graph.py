@@ -157,16 +157,17 @@ def test_the_pace_changes_in_flight_and_the_flight_stays_the_same(graph):
     graph.listen([topics.ODOM, topics.DIAGNOSTICS])
     graph.start(NMPC, use_sim_time="true")
     graph.start(SIM, lockstep="true", real_time_factor="0.1")
+    client = graph.parameters_of("sim")
+
     graph.wait_until(lambda: flown_s(graph) > 0.0)
+    # At the slow pace little is on its way: what is heard late would pass for haste.
     since, wall = flown_s(graph), time.monotonic()
     graph.wait_until(lambda: flown_s(graph) > since + 0.1)
-    assert (flown_s(graph) - since) / (time.monotonic() - wall) < 0.15
-    slow = graph.set_parameter("sim", "real_time_factor", 20.0)
-    assert slow.successful
-    graph.wait_until(lambda: flown_s(graph) > 2.0)
+    assert (flown_s(graph) - since) / (time.monotonic() - wall) < 0.2
     since, wall = flown_s(graph), time.monotonic()
-    graph.wait_until(lambda: flown_s(graph) > since + 2.0)
-    assert (flown_s(graph) - since) / (time.monotonic() - wall) < 21.0
+    assert graph.set_parameter("sim", "real_time_factor", 5.0, client).successful
+    graph.wait_until(lambda: flown_s(graph) > since + 4.0)
+    assert (flown_s(graph) - since) / (time.monotonic() - wall) < 5.25
     assert same_flight(graph.received["odom"], fly(Scenario(), Controller(), 2.0))
 
     def newest(name):
@@ -178,7 +179,7 @@ def test_the_pace_changes_in_flight_and_the_flight_stays_the_same(graph):
     def told_of_the_pace():
         message = newest("sim: simulator")
         values = diagnostics.decode(message.status[0]) if message else {}
-        return values.get("real_time_factor_asked") == 20.0
+        return values.get("real_time_factor_asked") == 5.0
 
     graph.wait_until(told_of_the_pace)
     # Nobody speaks in the wall's time, which is many years.
@@ -188,7 +189,7 @@ def test_the_pace_changes_in_flight_and_the_flight_stays_the_same(graph):
     refused = graph.set_parameter("sim", "real_time_factor", -1.0)
     assert not refused.successful
     assert "real_time_factor" in refused.reason
-    assert graph.get_parameter("sim", "real_time_factor") == 20.0
+    assert graph.get_parameter("sim", "real_time_factor") == 5.0
 
 
 def test_wind_and_gusts_change_in_flight_together_or_not_at_all(graph):
@@ -257,19 +258,24 @@ def test_managed_nodes_publish_only_while_they_are_active(graph):
     assert tightening.decode(graph.received["tightening"][-1]).alpha_p.max() == 0.0
 
     ask("nmpc", "deactivate")
-    # What was sent before is heard before the answer to a later question.
-    graph.parameters_of("nmpc")
+    # What was sent before may still be on its way.
+    graph.wait_until(lambda: flown_s(graph) > flown_s(graph, "rotor_command") + 0.1)
     heard = len(graph.received["rotor_command"])
     at = flown_s(graph)
     graph.wait_until(lambda: flown_s(graph) > at + 0.1)
-    assert len(graph.received["rotor_command"]) - heard <= 1
+    assert len(graph.received["rotor_command"]) == heard
     ask("nmpc", "activate")
     graph.wait_until(lambda: len(graph.received["rotor_command"]) > heard + 10)
 
     ask("sim", "deactivate")
     ask("sim", "cleanup")
     graph.wait_until(lambda: graph.node.count_publishers("odom") == 0)
+    before = len(graph.received["odom"])
     for transition in ("configure", "activate"):
         ask("sim", transition)
-    graph.received["odom"].clear()
-    graph.wait_until(lambda: 0.0 < flown_s(graph) < at)
+
+    def flies_again():
+        again = [stamps.decode(m.header.stamp) * 1e-9 for m in graph.received["odom"][before:]]
+        return any(0.0 < time_s < at for time_s in again)
+
+    graph.wait_until(flies_again)
