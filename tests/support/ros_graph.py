@@ -153,10 +153,10 @@ class RosGraph:
         self._processes.append(process)
         return process
 
-    def listen(self, topics: Iterable[Topic]) -> None:
-        """Keep every message of some topics in ``received``, by topic name."""
+    def listen(self, topics: Iterable[Topic], raw: bool = False) -> None:
+        """Keep every message of some topics, as bytes if raw, in ``received``, by topic name."""
         for topic in topics:
-            topic.subscription(self.node, self.received[topic.name].append, PATIENT)
+            topic.subscription(self.node, self.received[topic.name].append, PATIENT, raw)
 
     def newcomer_finds(self, *names: str) -> float:
         """Start another participant; how long it takes to find some nodes and a publisher [s]."""
