@@ -8,8 +8,6 @@
 
 """The quality of service that a bag tells to a player."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Literal
 

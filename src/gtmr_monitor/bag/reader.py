@@ -8,8 +8,6 @@
 
 """Reading MCAP bags, whole or torn off, without ROS."""
 
-from __future__ import annotations
-
 import re
 import struct
 import warnings

@@ -11,8 +11,6 @@
 The one place that decides it, for nodes and readers of bags alike; it needs no ROS.
 """
 
-from __future__ import annotations
-
 RESET_NS = 500_000_000
 """A stamp further behind the newest than this belongs to a world that began again [ns]; what is
 less far behind came late. No network holds a message back for so long."""
