@@ -36,6 +36,7 @@ setup(
     package_data={
         "": ["py.typed"],
         "gtmr_model": ["config/**/*.yaml"],
+        "gtmr_guard": ["c/*.[ch]"],
         "gtmr_msgs_py.start": ["*.xml"],
         "gtmr_nmpc.compiled": ["c/*.[ch]"],
         "gtmr_study.export": ["replay.c", "CMakeLists.txt"],

@@ -16,6 +16,7 @@ from launch.actions import ExecuteProcess, OpaqueFunction
 from launch_ros.actions import Node
 
 from gtmr_msgs_py.start import launching
+from gtmr_msgs_py.start.environment import node_environment
 from gtmr_msgs_py.start.launching import IN_FLIGHT_TIME, Argument
 
 START_TIMEOUT_S = 60
@@ -50,6 +51,7 @@ def processes(context: LaunchContext) -> list[Node | ExecuteProcess]:
         # As scripts/ find Python: `gtmr` itself is on no path under colcon.
         ExecuteProcess(
             cmd=["python3", "-m", "gtmr_study.cli", *play],
+            additional_env=node_environment(),
             output="screen",
             on_exit=launching.required,
         ),

@@ -14,7 +14,8 @@ from gtmr_model.reference import Reference, ReferencePath
 from gtmr_model.tower import Tower
 from gtmr_model.uncertainty import CHANNELS, N_ZETA, UncertaintySet
 from gtmr_model.vehicle import NamedVehicle, Rotor, Vehicle
-from gtmr_model.yaml_model import ConfigError, OneOfKinds, YamlModel
+from gtmr_model.yaml_file import ConfigError
+from gtmr_model.yaml_model import OneOfKinds, YamlModel
 
 __all__ = [
     "CHANNELS",

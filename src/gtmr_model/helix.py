@@ -18,7 +18,7 @@ from pydantic import Field, field_validator
 
 from gtmr_model.reference import ReferencePath
 from gtmr_model.tower import Tower
-from gtmr_model.yaml_model import ConfigError
+from gtmr_model.yaml_file import ConfigError
 
 
 class Helix(ReferencePath):

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import casadi as ca
-import yaml
 from pydantic import (
     BaseModel,
     ConfigDict,
@@ -26,9 +25,12 @@ from pydantic import (
 )
 from typing_extensions import Self
 
+from gtmr_model.yaml_file import ConfigError, read_yaml
 
-class ConfigError(ValueError):
-    """A configuration that cannot be used; the message is one line naming field and value."""
+MAX_PROBLEMS = 12
+"""How many fields that are wrong are named in one line."""
+MAX_VALUE_TEXT = 80
+"""How much of a wrong value is shown, in characters."""
 
 
 def describe(error: ValidationError) -> str:
@@ -37,7 +39,8 @@ def describe(error: ValidationError) -> str:
     For example ``mass_kg = -1.0: Input should be greater than 0``.
     """
     problems = []
-    for problem in error.errors():
+    found = error.errors()
+    for problem in found[:MAX_PROBLEMS]:
         field = ".".join(str(part) for part in problem["loc"])
         reason = problem["msg"].removeprefix("Value error, ")
         if problem["type"] == "missing":
@@ -47,8 +50,15 @@ def describe(error: ValidationError) -> str:
         elif not field:
             problems.append(reason)
         else:
-            problems.append(f"{field} = {problem['input']!r}: {reason}")
+            problems.append(f"{field} = {_shown(problem['input'])}: {reason}")
+    if len(found) > MAX_PROBLEMS:
+        problems.append(f"and {len(found) - MAX_PROBLEMS} more")
     return "; ".join(problems)
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= MAX_VALUE_TEXT else f"{text[:MAX_VALUE_TEXT]}..."
 
 
 class YamlModel(BaseModel):
@@ -91,18 +101,10 @@ class YamlModel(BaseModel):
     def from_yaml(cls, path: str | Path) -> Self:
         """Read and validate a YAML file.
 
-        Raises ConfigError if the file cannot be read, is no YAML, or a field is missing, unknown
-        or out of range.
+        Raises ConfigError if it cannot be read as `read_yaml` does, or a field is missing,
+        unknown or out of range.
         """
-        path = Path(path)
-        try:
-            data = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise ConfigError(f"{path}: {error.strerror}") from None
-        except (UnicodeDecodeError, yaml.YAMLError) as error:
-            reason = " ".join(str(error).split())
-            raise ConfigError(f"{path}: not a YAML file: {reason}") from None
-        return cls.parse(data, str(path))
+        return cls.parse(read_yaml(path), str(path))
 
     @classmethod
     def preset(cls, kind: str, name: str) -> Self:

@@ -10,9 +10,15 @@
 
 from gtmr_monitor.bag.flight import read_flight, read_flights
 from gtmr_monitor.bag.format import BagError
-from gtmr_monitor.bag.qos import OfferedQos
-from gtmr_monitor.bag.reader import BagMessage, TruncatedBagWarning, read_messages
+from gtmr_monitor.bag.metadata import OfferedQos
+from gtmr_monitor.bag.reader import (
+    BagMessage,
+    DamagedBagWarning,
+    TruncatedBagWarning,
+    read_messages,
+)
 from gtmr_monitor.bag.writer import BagWriter
+from gtmr_monitor.coverage import Coverage
 from gtmr_monitor.flight import Flight, MarginHistory
 from gtmr_monitor.residual import residual_statistics, solve_statistics
 
@@ -20,6 +26,8 @@ __all__ = [
     "BagError",
     "BagMessage",
     "BagWriter",
+    "Coverage",
+    "DamagedBagWarning",
     "Flight",
     "MarginHistory",
     "OfferedQos",

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gtmr_model import ReferencePath, Tower
+from gtmr_monitor.coverage import Coverage
 from gtmr_monitor.residual import (
     ResidualStatistics,
     SolveStatistics,
@@ -99,6 +100,8 @@ class Flight:
     """What was flown around."""
     helix: ReferencePath
     """What was to be followed."""
+    coverage: Coverage
+    """What of the flight is recorded."""
     zeta: tuple[float, ...] | None = None
     """The true mismatch and wind bias, eq. (4), 9 numbers; None if not recorded."""
     gust: str | None = None

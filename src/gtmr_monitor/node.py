@@ -31,7 +31,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from gtmr_model import ConfigError, Tower, YamlModel
 from gtmr_monitor.agreement import NAMES, TowerAgreement
 from gtmr_monitor.bag.format import BagError, without_tail
-from gtmr_monitor.bag.qos import OfferedQos
+from gtmr_monitor.bag.metadata import OfferedQos
 from gtmr_monitor.recorder import Recorder
 from gtmr_monitor.residual import ResidualWatch
 from gtmr_msgs_py import topics

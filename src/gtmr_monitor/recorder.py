@@ -11,7 +11,7 @@
 from collections.abc import Callable
 
 from gtmr_monitor.bag.format import BagError
-from gtmr_monitor.bag.qos import OfferedQos
+from gtmr_monitor.bag.metadata import OfferedQos
 from gtmr_monitor.bag.writer import BagWriter
 
 

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +77,8 @@ class FlightLog:
     """Time of step k [ms], shape (K,): the controller's own, else measured around ``step``."""
     failed: NDArray[np.bool_]
     """Whether the QP solver gave up in step k, shape (K,)."""
+    guard: NDArray[np.bool_]
+    """Whether the guard was in charge at the end of step k, shape (K,)."""
 
     @property
     def failed_steps(self) -> int | None:
@@ -88,9 +90,9 @@ class FlightLog:
         """Largest slack of any stage and step [m]; None if the controller does not tell."""
         return float(self.slack.max()) if self.slack.size else None
 
-    def save(self, path: Path) -> None:
-        """Write every field to a compressed npz file."""
-        np.savez_compressed(path, **{f.name: getattr(self, f.name) for f in fields(self)})
+    def save(self, file: Path | BinaryIO) -> None:
+        """Write every field to a compressed npz file, by its path or already open."""
+        np.savez_compressed(file, **{f.name: getattr(self, f.name) for f in fields(self)})
 
 
 def fly(
@@ -131,7 +133,7 @@ def fly(
     _require_made_for(config, scenario, sampling_time_s)
     steps = whole_steps("duration_s", duration_s, "sampling_time_s", sampling_time_s)
     simulation = Simulation(scenario, sampling_time_s)
-    times, states, gusts = [], [], []
+    times, states, gusts, guarded = [], [], [], []
     taken: list[_Step] = []
     for k in range(steps):
         t = simulation.time_s
@@ -153,6 +155,7 @@ def fly(
         taken.append(step)
         simulation.command(t, step.u_plan)
         simulation.advance(sampling_time_s)
+        guarded.append(simulation.guard_active)
         if on_step is not None:
             on_step(k + 1)
     x = np.array(states)
@@ -167,6 +170,7 @@ def fly(
         **{name: np.array([getattr(step, name) for step in taken]) for name in _BY_STAGE},
         solve_ms=np.array([step.solve_ms for step in taken]),
         failed=np.array(told, dtype=bool),
+        guard=np.array(guarded, dtype=bool),
     )
 
 

@@ -98,6 +98,9 @@ class Scenario(YamlModel):
     """The gusts."""
     effects: EffectNames = ()
     """Forces and torques on the true vehicle beyond eq. (3), by their registered names."""
+    guard: Literal["retreat", "hold"] = "retreat"
+    """What the rotors do past a plan's end: the guard brakes, retreats from the tower and hovers,
+    or, as in the paper's study, which has no guard, they hold their speeds."""
     seed: int = Field(0, ge=0)
     """Seed of the gusts, and of zeta where it is sampled."""
     step_s: float = Field(1e-3, gt=0.0, le=0.01)

@@ -95,6 +95,21 @@ class Session:
         return (self.stamp_ns - (self._command_ns or 0)) / NANOSECONDS
 
     @property
+    def guard_active(self) -> bool:
+        """Whether the guard is in charge."""
+        return self._simulation.guard_active
+
+    @property
+    def guard_cause(self) -> str:
+        """Why the guard is in charge, one of `gtmr_guard.CAUSES`; empty if it is not."""
+        return self._simulation.guard_cause
+
+    @property
+    def guard_time_s(self) -> float:
+        """How long the guard has been in charge, since the start of the flight [s]."""
+        return self._simulation.guard_time_s
+
+    @property
     def plan_step(self) -> int:
         """Which input of the plan is being played, 0 while commands come in time."""
         return self._simulation.plan_index

@@ -25,8 +25,13 @@ from rosbags.interfaces import QosDurability, QosReliability
 from support.written_bags import FLOAT64, ODOMETRY, cdr, new, odometry
 
 from gtmr_monitor.bag.format import BagError
-from gtmr_monitor.bag.qos import OfferedQos
-from gtmr_monitor.bag.reader import TruncatedBagWarning, bag_files, read_messages
+from gtmr_monitor.bag.metadata import OfferedQos
+from gtmr_monitor.bag.reader import (
+    DamagedBagWarning,
+    TruncatedBagWarning,
+    bag_files,
+    read_messages,
+)
 from gtmr_monitor.bag.writer import BagWriter
 
 WRITTEN = [
@@ -52,7 +57,7 @@ def write(folder, messages=WRITTEN, chunk=30):
 
 def read(path):
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", TruncatedBagWarning)
+        warnings.simplefilter("ignore", DamagedBagWarning)
         return [(m.topic, m.data, m.log_time_ns) for m in read_messages(path)]
 
 

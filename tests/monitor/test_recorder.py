@@ -11,7 +11,7 @@
 import pytest
 
 from gtmr_monitor.bag.format import BagError
-from gtmr_monitor.bag.qos import OfferedQos
+from gtmr_monitor.bag.metadata import OfferedQos
 from gtmr_monitor.bag.reader import TruncatedBagWarning, read_messages
 from gtmr_monitor.bag.writer import BagWriter
 from gtmr_monitor.recorder import Recorder

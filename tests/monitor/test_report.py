@@ -23,6 +23,7 @@ from support.written_bags import SAMPLE
 
 from gtmr_model import Helix, Tower
 from gtmr_monitor.bag.format import BagError
+from gtmr_monitor.coverage import Coverage
 from gtmr_monitor.flight import Flight, MarginHistory
 from gtmr_monitor.report import look
 from gtmr_monitor.report.browser import CHARTS
@@ -60,6 +61,7 @@ def flight(mode, clearance_m, **changes):
         "deadline_ms": 25.0,
         "tower": Tower(),
         "helix": Helix(),
+        "coverage": Coverage(covered_s=10.0, expected_s=10.0),
         "zeta": (0.1, 0.0, 0.0, 0.0, -0.05, 0.0, 0.6, 0.4, 0.0),
         "gust": "ou",
         "seed": 42,

@@ -8,6 +8,7 @@
 
 """The launch files start what exists, with parameters that exist; `launch` itself is stubbed."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from support.launch_stubs import exit_of, parameters
 
 from gtmr_monitor.node import MonitorNode, MonitorParameters
 from gtmr_msgs_py.node.declarations import declarations
+from gtmr_msgs_py.start.parent import PARENT
 from gtmr_nmpc.config import MODES
 from gtmr_nmpc.node import NmpcNode, NmpcParameters
 from gtmr_sim.node import SimNode, SimParameters
@@ -93,6 +95,7 @@ def test_viewers_start_only_when_asked_for(launch):
     _, nodes = launch("inspection", viewers=both, rviz="true", foxglove="true")
     assert [node.package for node in nodes[3:]] == ["rviz2", "foxglove_bridge"]
     assert Path(nodes[3].arguments[1]).is_file()
+    assert nodes[4].parameters[0]["address"] == "127.0.0.1"
 
 
 @pytest.mark.parametrize("viewer", ["rviz", "foxglove"])
@@ -117,6 +120,12 @@ def test_the_end_of_any_node_ends_the_launch_and_its_failure_is_one(launch, name
         assert exit_of(node, -2, is_shutdown=True) == []
     monitor = nodes[-1]
     assert exit_of(monitor, 0) == ["Shutdown"]
+
+
+@pytest.mark.parametrize("name", [*LAUNCHED, "replay"])
+def test_every_process_of_ours_ends_with_the_launch_whatever_ends_that(launch, name):
+    _, started = launch(name, bag="bags/old")
+    assert {each.additional_env[PARENT] for each in started} == {str(os.getpid())}
 
 
 @pytest.mark.parametrize("name", LAUNCHED)

@@ -58,7 +58,7 @@ def test_flight_is_the_same_however_time_is_cut_up():
 
 
 def test_missing_commands_are_bridged_by_the_rest_of_the_plan_then_by_holding_speed():
-    simulation = Simulation(Scenario(), 0.025)
+    simulation = Simulation(Scenario(guard="hold"), 0.025)
     plan = np.full((4, 6), 10.0)
     simulation.command(0.0, plan)
     simulation.advance(0.1)
@@ -69,7 +69,7 @@ def test_missing_commands_are_bridged_by_the_rest_of_the_plan_then_by_holding_sp
 
 
 def test_late_plan_is_played_from_where_it_should_be_by_now():
-    simulation = Simulation(Scenario(), 0.025)
+    simulation = Simulation(Scenario(guard="hold"), 0.025)
     simulation.advance(0.05)
     simulation.command(0.0, np.arange(4.0)[:, None] * np.ones(6))
     simulation.advance(0.025)

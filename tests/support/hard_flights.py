@@ -65,6 +65,8 @@ class Situation:
             zeta=(0.0,) * 6 + (-0.6, 0.4, 0.0),
             gust={"kind": self.gust},
             seed=seed,
+            # The controller alone is meant.
+            guard="hold",
         )
         simulation = Simulation(scenario, self.config.sampling_time_s)
         simulation.plant.x = self._start(simulation.x, rng)

@@ -32,8 +32,9 @@ Array = NDArray[np.float64]
 def read_flights(path: str | Path, vehicle: str | None = None) -> list[Flight]:
     """Read the flights of all vehicles in a bag, or of one of them.
 
-    Where the simulation was reset, a flight is what came after the last reset. A bag without an
-    end is read up to its last whole chunk, with a ``TruncatedBagWarning``. A bag is a rosbag2
+    Where the simulation was reset, a flight is what came after the last reset. Of a damaged bag
+    it is what is left, with a ``DamagedBagWarning``, and its ``coverage`` says how much that is.
+    A bag is a rosbag2
     folder, with or without its metadata.yaml, or an MCAP file; a vehicle is the namespace of its
     nodes, for example ``hex1`` or ``/hex1``, or ``/`` for none.
 
@@ -114,6 +115,7 @@ def flight_of(recording: Recording) -> Flight:
         deadline_ms=1e3 * float(nmpc.get("sampling_time_s", math.nan)),
         tower=tower,
         helix=_model(path, ReferencePath, "helix", (nmpc, sim)),
+        coverage=recording.coverage,
         zeta=tuple(sim["zeta"]) if "zeta" in sim else None,
         gust=sim.get("gust.kind"),
         seed=sim.get("seed"),

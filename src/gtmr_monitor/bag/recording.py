@@ -11,6 +11,7 @@
 Reports make a `Flight` of it, replays feed it to the controller.
 """
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,15 +19,20 @@ from typing import Any
 
 import numpy as np
 
+from gtmr_monitor.bag.format import BagError
 from gtmr_monitor.bag.reader import BagMessage
+from gtmr_monitor.coverage import Coverage
 from gtmr_msgs_py.wire import stamps
-from gtmr_msgs_py.wire.order import StampOrder
+from gtmr_msgs_py.wire.order import StampOrder, is_reset
 
 # Indexed by the type of a rcl_interfaces/msg/ParameterValue.
 _VALUE_FIELDS = (
     None, "bool_value", "integer_value", "double_value", "string_value", "byte_array_value",
     "bool_array_value", "integer_array_value", "double_array_value", "string_array_value",
 )  # fmt: skip
+
+STRAY_NS = 500_000_000
+"""What goes on by less than this [ns] has no room for a reset in between."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +47,8 @@ class Recorded:
     """When it was sent, Unix time [ns]."""
     message: Any
     """With the fields of the ROS message."""
+    place: tuple[int, int] = (0, 0)
+    """See `BagMessage`."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +109,8 @@ class Recording:
     """What a user should know, one sentence each."""
     truncated: bool
     """Whether the bag has no end, because its writer was killed."""
+    coverage: Coverage
+    """What of the flight the bag covers."""
 
     @property
     def namespace(self) -> str:
@@ -118,18 +128,45 @@ class Recording:
         return [change for change in self.changes if change.node == self.node]
 
 
-def decoded(messages: Iterable[BagMessage]) -> list[Recorded]:
-    """Decode messages, in the order in which they come.
-
-    Raises BagError if the data of one do not fit its type.
-    """
+def decoded(messages: Iterable[BagMessage], dropped: Counter[str]) -> list[Recorded]:
+    """Decode messages, in the order in which they come; count those that cannot be."""
     result = []
     for raw in messages:
-        message = raw.decode()
+        try:
+            message = raw.decode()
+        except BagError:
+            dropped[f"undecodable {raw.topic.rpartition('/')[2]}"] += 1
+            continue
         header = getattr(message, "header", None)
         stamp_ns = raw.log_time_ns if header is None else stamps.decode(header.stamp)
-        result.append(Recorded(stamp_ns, raw.log_time_ns, raw.publish_time_ns, message))
+        result.append(Recorded(stamp_ns, raw.log_time_ns, raw.publish_time_ns, message, raw.place))
     return result
+
+
+def without_strays(received: list[Recorded]) -> list[Recorded]:
+    """Leave out single messages whose stamps are far from those of both their neighbours.
+
+    These go on from one to the other: it is neither a reset nor a gap. At the end it is one that
+    falls back, or runs ahead by far more time than went by.
+    """
+
+    def is_stray(k: int) -> bool:
+        now_ns = received[k].stamp_ns
+        if k == 0:
+            return len(received) > 2 and is_reset(received[1].stamp_ns, now_ns)
+        before = received[k - 1]
+        if k == len(received) - 1:
+            passed_ns = received[k].received_ns - before.received_ns
+            leap_ns = now_ns - before.stamp_ns
+            return k > 1 and (
+                is_reset(now_ns, before.stamp_ns) or leap_ns > STRAY_NS + 100 * abs(passed_ns)
+            )
+        after_ns = received[k + 1].stamp_ns
+        go_on = 0 <= after_ns - before.stamp_ns < STRAY_NS
+        ahead, back = is_reset(after_ns, now_ns), is_reset(now_ns, before.stamp_ns)
+        return go_on and (ahead or back)
+
+    return [item for k, item in enumerate(received) if not is_stray(k)]
 
 
 def last_flight(received: list[Recorded]) -> tuple[list[Recorded], list[Recorded], int]:
@@ -146,10 +183,10 @@ def last_flight(received: list[Recorded]) -> tuple[list[Recorded], list[Recorded
     return [first[stamp_ns] for stamp_ns in sorted(first)], received[:begin], order.late
 
 
-def changes(events: Iterable[BagMessage]) -> list[Change]:
-    """Read what nodes told of their parameters, in the order in which they did."""
+def changes(events: Iterable[BagMessage], dropped: Counter[str]) -> list[Change]:
+    """Read what nodes told of their parameters, in order; count what cannot be decoded."""
     told = []
-    for item in decoded(events):
+    for item in decoded(events, dropped):
         parameters = (*item.message.new_parameters, *item.message.changed_parameters)
         values = {parameter.name: _value(parameter.value) for parameter in parameters}
         told.append(Change(item.message.node, item.received_ns, item.sent_ns, values))

@@ -23,7 +23,7 @@ from mcap.writer import CompressionType, Writer
 from typing_extensions import Self
 
 from gtmr_monitor.bag.format import BagError, typestore
-from gtmr_monitor.bag.qos import OfferedQos
+from gtmr_monitor.bag.metadata import OfferedQos
 
 METADATA_VERSION = 9
 """Version of rosbag2's metadata.yaml, Jazzy's."""

@@ -79,6 +79,11 @@ def residual(flown: Flown) -> go.Figure:
         )  # fmt: skip
         for at, mode in flight.modes[1:]:
             figure.add_vline(x=at, line=_pen(line, dash="dot"), annotation_text=mode, row=1, col=1)
+        for begin, end in flight.coverage.gaps:
+            figure.add_vrect(
+                x0=begin, x1=end, fillcolor=look.GAP_COLOUR, opacity=0.4, line_width=0, row=1,
+                col=1,
+            )  # fmt: skip
     for flight, line in flown:
         if (foreseen := flight.predictions) is not None:
             name, pen = f"{line.label}, foreseen", _pen(line, dash="dot", width=1.2)

@@ -33,6 +33,8 @@ TOWER = "#c9c9c9"
 MODE_COLOURS = {"nominal": "#D55E00", "robust": "#0072B2"}
 OTHER_COLOUR = "#CC79A7"
 """Flights that switched their mode, or do not tell it."""
+GAP_COLOUR = "#bdbdbd"
+"""Where the record of a flight has a gap."""
 REPLAYED_COLOUR = "#009E73"
 """What a controller would have done that did not fly."""
 Dash = Literal["solid", "dash", "dot"]

@@ -93,6 +93,13 @@ def _page(flown: Flown) -> str:
         if flight.truncated
     )
     warnings += "".join(
+        f'<p class="warning">{escape(line.label)}: the record is not whole, it covers '
+        f"{escape(str(flight.coverage))}. What is said of the flight is true of what is covered."
+        "</p>"
+        for flight, line in flown
+        if not flight.coverage.whole
+    )
+    warnings += "".join(
         f'<p class="warning">{escape(line.label)}: {escape(note)}.</p>'
         for flight, line in flown
         for note in flight.notes
@@ -132,9 +139,10 @@ def _table(flown: Flown, rows: Sequence[Row]) -> str:
 
 def _violated(flight: Flight) -> str:
     share = 100.0 * float((flight.residual > 0.0).mean())
+    limits = "" if flight.coverage.whole else ", in what is covered"
     if not flight.residual_statistics["violated"]:
-        return "no"
-    return f'<strong class="bad">yes</strong>, {share:.1f} % of samples'
+        return f"no{limits}"
+    return f'<strong class="bad">yes</strong>, {share:.1f} % of samples{limits}'
 
 
 def _solve(key: Literal["median", "p99", "max"]) -> Value:
@@ -178,6 +186,7 @@ _SUMMARY: tuple[Row, ...] = (
     ("lower quartile [m]", _quartile("q1")),
     ("minimum [m]", _quartile("min")),
     ("samples", lambda f: str(f.residual.size)),
+    ("record covers", lambda f: escape(str(f.coverage))),
     ("solve time, median [ms]", _solve("median")),
     ("99th percentile [ms]", _solve("p99")),
     ("maximum [ms]", _solve("max")),

@@ -63,6 +63,8 @@ def residual(flown: Flown) -> Figure:
     moved = look.moved(flown)
     for flight, line in moved:
         over_time.plot(flight.t, flight.residual, **_pen(line), label=line.label)
+        for gap in flight.coverage.gaps:
+            over_time.axvspan(*gap, color=look.GAP_COLOUR, alpha=0.4, linewidth=0)
         for at, mode in flight.modes[1:]:
             over_time.axvline(at, color=line.colour, linestyle=":", linewidth=1.0)
             over_time.annotate(

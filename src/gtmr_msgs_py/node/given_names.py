@@ -58,7 +58,13 @@ def _shared_names(args: Sequence[str]) -> set[str]:
     alone: set[str] = set()
     for option, value in pairwise(args):
         if option == "--params-file":
-            for section, names in _sections(Path(value).read_text(encoding="utf-8")):
+            text = Path(value).read_text(encoding="utf-8", errors="replace")
+            try:
+                sections = list(_sections(text))
+            except (yaml.YAMLError, RecursionError) as error:
+                # rcl has read it before, but with another parser.
+                raise ConfigError(f"{value}: not a YAML file: {error}") from None
+            for section, names in sections:
                 for_any = "*" in section.rpartition("/")[2]
                 (shared if for_any else alone).update(names)
         elif option in ("-p", "--param"):

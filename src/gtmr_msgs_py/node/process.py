@@ -21,6 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 from gtmr_model import ConfigError
 from gtmr_msgs_py.node.given_names import refuse_unknown_names
 from gtmr_msgs_py.node.suite_node import SuiteNode
+from gtmr_msgs_py.start.parent import end_with_parent
 
 try:
     from rclpy.experimental import EventsExecutor as Prompt
@@ -55,6 +56,7 @@ def run(
     the control loop is `PROMPT`. Raises SystemExit with ``--help``, and for an argument that does
     not exist.
     """
+    end_with_parent()
     command_line = sys.argv[1:] if args is None else args
     managed = _is_managed(make_node, command_line)
     try:

@@ -11,7 +11,8 @@
 import os
 import sys
 from importlib.resources import files
-from pathlib import Path
+
+from gtmr_msgs_py.start.parent import bound_to_this_process
 
 SINGLE_THREADED_ALGEBRA = {
     "OPENBLAS_NUM_THREADS": "1",
@@ -22,20 +23,40 @@ SINGLE_THREADED_ALGEBRA = {
 only wait for each other, on a busy machine for several times the step itself."""
 
 
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+"""Environment variable of ROS: how far nodes look for others."""
+PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+"""Environment variable of Fast DDS: its settings."""
+
+
+def node_environment() -> dict[str, str]:
+    """Give what to add to this process's environment for nodes that are its children.
+
+    They end with this process, compute in one thread, and open no socket to the network, unless
+    ROS_AUTOMATIC_DISCOVERY_RANGE is set to anything but LOCALHOST. Whatever of these the
+    environment sets already stays; who names a Fast DDS profile decides alone who hears the nodes.
+    """
+    added = {k: v for k, v in SINGLE_THREADED_ALGEBRA.items() if k not in os.environ}
+    added |= bound_to_this_process()
+    if PROFILE not in os.environ:
+        closed = os.environ.get(RANGE, "LOCALHOST") == "LOCALHOST"
+        profile = "loopback.xml" if closed else "fastdds.xml"
+        added[PROFILE] = str(files("gtmr_msgs_py.start") / profile)
+        if closed:
+            # LOCALHOST itself leaves sockets open at all addresses; here the profile sees to it.
+            added[RANGE] = "SYSTEM_DEFAULT"
+    return added
+
+
 def ros_environment(domain_id: int | None = None) -> dict[str, str]:
-    """Give the environment for nodes that shall find each other fast and nobody else.
+    """Give the environment for nodes that find each other fast and nobody else, and end with us.
 
     What the caller's environment sets already stays, but for ROS_DOMAIN_ID, 0 to 101, if one is
-    given: it keeps graphs on one machine apart.
+    given: it keeps graphs on one machine apart. See `node_environment`.
     """
-    environment = dict(os.environ)
-    profile = Path(str(files("gtmr_msgs_py.start") / "fastdds.xml"))
-    environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
-    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    environment = dict(os.environ) | node_environment()
     # Wheels from PyPI leave it unset, and ament_index_python then fails.
     environment.setdefault("AMENT_PREFIX_PATH", sys.prefix)
-    for name, value in SINGLE_THREADED_ALGEBRA.items():
-        environment.setdefault(name, value)
     if domain_id is not None:
         environment["ROS_DOMAIN_ID"] = str(domain_id)
     return environment

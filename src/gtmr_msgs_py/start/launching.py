@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
 from ament_index_python.packages import (
     PackageNotFoundError,
     get_package_prefix,
@@ -24,7 +23,8 @@ from ament_index_python.packages import (
 from launch.actions import DeclareLaunchArgument, Shutdown
 from launch_ros.actions import Node
 
-from gtmr_msgs_py.start.environment import SINGLE_THREADED_ALGEBRA
+from gtmr_model.yaml_file import parse_yaml
+from gtmr_msgs_py.start.environment import node_environment
 
 if TYPE_CHECKING:
     from launch.events.process import ProcessExited
@@ -78,6 +78,7 @@ EVERYWHERE = {
     ),
     "rviz": Argument("Whether to open RViz", "false", kind=bool),
     "foxglove": Argument("Whether to start foxglove_bridge", "false", kind=bool),
+    "address": Argument("Where foxglove_bridge listens; 0.0.0.0 is everywhere", "127.0.0.1"),
 }
 """Arguments of every launch file."""
 COMMON = {
@@ -131,7 +132,7 @@ def values(arguments: Mapping[str, Argument], given: Mapping[str, str]) -> dict[
 def _value(name: str, argument: Argument, text: str) -> Any:
     if argument.kind is str:
         return text
-    value = yaml.safe_load(text)
+    value = parse_yaml(text, f"{name}:={text}")
     # Whole numbers do for floats, in lists too.
     if argument.kind is float and type(value) is int:
         return float(value)
@@ -181,7 +182,7 @@ def node(
         executable=executable,
         parameters=[parameter_file(given["params_file"]), {**set_by_argument, **parameters}],
         ros_arguments=["--log-level", given["log_level"]],
-        additional_env=SINGLE_THREADED_ALGEBRA,
+        additional_env=node_environment(),
         output="screen",
         on_exit=on_exit,
         **_place(given, below),
@@ -191,6 +192,7 @@ def node(
 def views(given: Mapping[str, Any], below: tuple[str, ...] = ("",)) -> list[Node]:
     """Start the viewers that were asked for, RViz once for each namespace; both may be closed."""
     config = ["-d", str(share() / "rviz" / "inspection.rviz")]
+    listening: dict[str, dict[str, Any]] = {"foxglove": {"address": given["address"]}}
     places: dict[str, list[dict[str, Any]]] = {
         "rviz": [_place(given, each) for each in below],
         "foxglove": [{}],
@@ -200,7 +202,7 @@ def views(given: Mapping[str, Any], below: tuple[str, ...] = ("",)) -> list[Node
             package=package,
             executable=package,
             arguments=config if name == "rviz" else [],
-            parameters=[IN_FLIGHT_TIME],
+            parameters=[IN_FLIGHT_TIME | listening.get(name, {})],
             **place,
         )
         for name, package in VIEWERS.items()

@@ -35,6 +35,9 @@ a worker's death costs little [s]."""
 LARGEST_CHUNK = 64
 """Flights in a chunk at most."""
 
+LOOPBACK = "127.0.0.1"
+"""Where scheduler, workers and dashboard on this machine listen, and nowhere else."""
+
 Flights = Sequence[tuple[int, str]]
 Chunk = TypeVar("Chunk")
 Result = TypeVar("Result")
@@ -49,8 +52,9 @@ def local_workers(count: int | None = None) -> Iterator[Client]:
         cluster = LocalCluster(
             n_workers=n,
             threads_per_worker=1,
+            host=LOOPBACK,
             # Any free port: several campaigns may run on one machine.
-            dashboard_address=":0",
+            dashboard_address=f"{LOOPBACK}:0",
             memory_limit=None,
             silence_logs=logging.CRITICAL,
         )

@@ -114,6 +114,8 @@ class Study(YamlModel):
             uncertainty=self.true_uncertainty,
             gust=self.gust,
             effects=self.effects,
+            # The paper's study has no guard.
+            guard="hold",
             seed=trial_seed(self.seed, trial),
         )
         points = _points(self.plan, self.true_uncertainty, self.seed)

@@ -24,7 +24,7 @@ import pandas as pd
 
 from gtmr_study.campaign.study import Study, mode_order
 from gtmr_study.campaign.trial import COLUMNS, Row
-from gtmr_study.result_files import InputError, write_json, write_whole
+from gtmr_study.result_files import UNFINISHED, InputError, write_json, write_whole
 
 STUDY_FILE = "study.json"
 TRIALS_FILE = "trials.csv"
@@ -90,7 +90,7 @@ def require_own_or_empty(option: str, folder: Path, study: Study) -> None:
         return
     if not is_campaign(folder):
         # A start that was killed may have left this one file.
-        others = [path for path in folder.iterdir() if path.name != STUDY_FILE + ".part"]
+        others = [path for path in folder.iterdir() if not path.name.startswith(UNFINISHED)]
         if others:
             raise InputError(
                 f"{option} = {folder}: holds {others[0].name} but no campaign; nothing was "

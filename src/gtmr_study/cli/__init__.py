@@ -9,14 +9,22 @@
 """The command line ``gtmr``."""
 
 import re
+import signal
 import sys
 from importlib.metadata import PackageNotFoundError, requires
+
+from gtmr_msgs_py.start.parent import end_with_parent
 
 __all__ = ["main"]
 
 
 def main() -> None:
-    """Run the command line; a part that was not installed is named in one line, exit code 2."""
+    """Run the command line; a part that was not installed is named in one line, exit code 2.
+
+    SIGTERM ends it as orderly as Ctrl-C does, with exit code 143.
+    """
+    end_with_parent()
+    signal.signal(signal.SIGTERM, _end)
     try:
         from gtmr_study.cli.app import main as run
 
@@ -29,6 +37,13 @@ def main() -> None:
         command = " ".join(["gtmr", *sys.argv[1:2]])
         sys.stderr.write(f"{command} needs {module}: pip install 'gtmr[{extra}]'\n")
         sys.exit(2)
+
+
+def _end(number: int, _: object) -> None:
+    """Unwind, so that child processes end and files are whole; more signals change nothing."""
+    signal.signal(number, signal.SIG_IGN)
+    sys.stderr.write(f"gtmr: ended by {signal.Signals(number).name}\n")
+    sys.exit(128 + number)
 
 
 def _extra_with(module: str) -> str | None:

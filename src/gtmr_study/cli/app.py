@@ -19,7 +19,7 @@ from gtmr_study.cli.campaign import calibrate_command, campaign_command, reprodu
 from gtmr_study.cli.demo import demo_command
 from gtmr_study.cli.export import export_c_command
 from gtmr_study.cli.fly import fly_command
-from gtmr_study.cli.replay import play_command, replay_command, truncation_told
+from gtmr_study.cli.replay import damage_told, play_command, replay_command, tell_coverage
 from gtmr_study.cli.terminal import complain, console, exit_code_of, option
 from gtmr_study.result_files import InputError, require_new_file
 
@@ -67,9 +67,10 @@ def report_command(
         from gtmr_monitor.bag.flight import read_flights
         from gtmr_monitor.report.page import write_report
 
-        with truncation_told():
+        with damage_told():
             flights = [flight for path in paths for flight in read_flights(path, vehicle)]
         for flight in flights:
+            tell_coverage(flight.name, flight.coverage)
             for note in flight.notes:
                 complain(f"warning: {flight.name}: {note}")
         written = write_report(flights, out)

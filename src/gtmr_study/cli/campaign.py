@@ -33,7 +33,7 @@ from gtmr_study.cli.terminal import (
     progress,
 )
 from gtmr_study.own_controller import OwnController
-from gtmr_study.result_files import InputError, require_folder_of, write_json
+from gtmr_study.result_files import InputError, require_folder, require_folder_of, write_json
 
 PAPER_SCENARIO = "paper"
 """Preset of the paper's study."""
@@ -78,6 +78,7 @@ def campaign_command(
 ) -> None:
     """Fly a Monte-Carlo campaign on Dask; killed and started again, it goes on."""
     _require_one(workers, scheduler)
+    require_folder("--out", out)
     require_folder_of("--json", json)
     own = None if controller is None else OwnController.named("--controller", controller)
     if own is not None and modes is not None:
@@ -100,10 +101,10 @@ def campaign_command(
     with _reported_progress() as show:
         summary = fly_campaign(study, out, workers, scheduler, partial(show, "flights"), own)
         write_figures(out)
-    write_json(json, summary)
     print_summary(summary)
     console.print(why_no_channels(Campaign.read(out)), soft_wrap=True)
     console.print(f"Results: {out}\nReport:  gtmr report {out}")
+    write_json(json, summary)
 
 
 def reproduce_command(
@@ -124,6 +125,7 @@ def reproduce_command(
 ) -> None:
     """Reproduce the paper: 500 trials a mode, Table II, Fig. 1 and Fig. 2, and a report."""
     _require_one(workers, scheduler)
+    require_folder("--out", out)
     require_folder_of("--json", json)
     from gtmr_study.paper.reproduce import FULL, QUICK, REPORT_FILE, reproduce
 
@@ -134,13 +136,13 @@ def reproduce_command(
     effort = QUICK if quick else FULL
     with _reported_progress() as show:
         results = reproduce(study, effort, out, workers, scheduler, show, command)
-    write_json(json, results)
     print_summary(results["summary"])
     near = results["distance"]
     console.print(
         f"Distance to the paper's rows, in tolerances: nominal {near['nominal']:.2f}, "
         f"both {near['both']:.2f}\nReport:  {out / REPORT_FILE} (open it in a browser)"
     )
+    write_json(json, results)
 
 
 def calibrate_command(
@@ -164,6 +166,7 @@ def calibrate_command(
     json: JsonOption = None,
 ) -> None:
     """Search what the paper leaves out for what comes closest to its results."""
+    require_folder("--out", out)
     require_folder_of("--json", json)
     try:
         from gtmr_study.calibration import BEST, SETS, TARGETS, calibrate
@@ -175,7 +178,6 @@ def calibrate_command(
     number = sets if sets is not None else SETS[target]
     with _reported_progress() as show:
         result = calibrate(study, target, number, out, workers, partial(show, "sets"))
-    write_json(json, result)
     for name, value in result["parameters"].items():
         console.print(f"{name}: {value:.4g}")
     rows = "nominal rows" if target == "nominal" else "rows, nominal and robust"
@@ -186,6 +188,7 @@ def calibrate_command(
         f"The whole campaign with it:  gtmr reproduce --scenario {out / BEST}",
         soft_wrap=True,
     )
+    write_json(json, result)
 
 
 def with_options(study: Study, **changes: Any) -> Study:

@@ -20,6 +20,7 @@ import typer
 
 from gtmr_nmpc import MODES
 from gtmr_study.cli.fly import print_flights, require_duration
+from gtmr_study.cli.replay import damage_told, tell_coverage
 from gtmr_study.cli.terminal import (
     DurationOption,
     JsonOption,
@@ -87,17 +88,19 @@ def demo_command(
             except DemoError as error:
                 complain(error)
                 raise typer.Exit(1) from None
-        flight = read_flight(bag)
+        with damage_told():
+            flight = read_flight(bag)
+        tell_coverage(f"{mode} flight", flight.coverage)
         flights.append(flight)
         results[mode] = {
             **flight.residual_statistics,
             "solve_ms": flight.solve_statistics,
             "deadline_misses": flight.deadline_misses,
             "bag": str(bag),
+            "coverage": flight.coverage.as_json(),
         }
         console.print(f"{mode}: flown {duration:g} s, recorded in {bag}")
     write_report(flights, folder / "report.html")
-    write_json(json, {"modes": results})
     print_flights(results)
     console.print(
         f"Report:  {folder / 'report.html'} (open it in a browser)\n"
@@ -105,6 +108,7 @@ def demo_command(
         "(Foxglove, or ros2 bag play)\n"
         "Next:    gtmr fly --help, README.md"
     )
+    write_json(json, {"modes": results})
     if view is not None and console.is_terminal:
         with contextlib.suppress(EOFError, KeyboardInterrupt):
             console.input(f"Live view: {view.page.url} until you press Enter ")

@@ -9,6 +9,7 @@
 
 """The command ``gtmr fly``, and what it shares with ``gtmr demo``."""
 
+import io
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,7 +34,13 @@ from gtmr_study.cli.terminal import (
     require_choice,
 )
 from gtmr_study.own_controller import OwnController
-from gtmr_study.result_files import InputError, require_folder_of, require_new_file, write_json
+from gtmr_study.result_files import (
+    InputError,
+    require_folder_of,
+    require_new_file,
+    write_json,
+    write_whole,
+)
 
 Zeta = tuple[float, float, float, float, float, float, float, float, float]
 
@@ -108,7 +115,9 @@ def fly_command(
         except FlightError as error:
             raise InputError(f"--controller = {controller}: {error}") from None
     if out is not None:
-        log.save(out)
+        content = io.BytesIO()
+        log.save(content)
+        write_whole(out, content.getvalue())
     d_min = scenario.tower.min_clearance_m
     result: dict[str, Any] = {
         "mode": mode,
@@ -121,10 +130,10 @@ def fly_command(
         "failed_steps": log.failed_steps,
         "max_slack_m": log.max_slack_m,
     }
-    write_json(json, result)
     print_flights({mode: result})
     if out is not None:
         console.print(f"Flight: {out}")
+    write_json(json, result)
 
 
 def require_duration(duration: float) -> None:

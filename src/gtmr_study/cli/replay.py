@@ -22,8 +22,9 @@ from rich.table import Table
 from rich.text import Text
 
 from gtmr_model import Vehicle
-from gtmr_monitor.bag.reader import TruncatedBagWarning
+from gtmr_monitor.bag.reader import DamagedBagWarning
 from gtmr_monitor.bag.vehicles import read_recording
+from gtmr_monitor.coverage import Coverage
 from gtmr_nmpc import MODES, ControllerConfig
 from gtmr_study.cli.terminal import (
     JsonOption,
@@ -76,8 +77,9 @@ def replay_command(
     except ModuleNotFoundError as error:
         raise needs_ros("a replay", error) from None
 
-    with truncation_told():
+    with damage_told():
         recording = read_recording(bag, odom, rotors)
+    tell_coverage(recording.name, recording.coverage)
     with progress() as bar:
         task = bar.add_task("replay", total=None)
         replayed = replay(
@@ -94,10 +96,10 @@ def replay_command(
         from gtmr_monitor.report.page import write_report
 
         write_report(replayed.flights(), report)
-    write_json(json, result)
     _print_result(result)
     if report is not None:
         console.print(f"Report: {report}")
+    write_json(json, result)
 
 
 def play_command(
@@ -123,7 +125,7 @@ def play_command(
     except ModuleNotFoundError as error:
         raise needs_ros("playing a bag", error) from None
 
-    with truncation_told():
+    with damage_told():
         playlist = read_playlist(bag, everything)
     console.print(
         f"Playing {', '.join(sorted(playlist.types))}: {playlist.duration_s:.1f} s at "
@@ -134,7 +136,7 @@ def play_command(
     before = signal.signal(signal.SIGINT, lambda *_: stop.set())
     try:
         with progress() as bar, warnings.catch_warnings():
-            warnings.simplefilter("ignore", TruncatedBagWarning)
+            warnings.simplefilter("ignore", DamagedBagWarning)
             task = bar.add_task("play", total=playlist.duration_s)
 
             def show(into_s: float) -> None:
@@ -148,13 +150,19 @@ def play_command(
 
 
 @contextmanager
-def truncation_told() -> Iterator[None]:
-    """Turn Python's warning of a bag without an end into a line for the user."""
+def damage_told() -> Iterator[None]:
+    """Turn Python's warning of a damaged bag into a line for the user."""
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", TruncatedBagWarning)
+        warnings.simplefilter("always", DamagedBagWarning)
         yield
     for warning in caught:
         complain(f"warning: {warning.message}")
+
+
+def tell_coverage(name: str, coverage: Coverage) -> None:
+    """Warn, on stderr, of a flight that is not recorded whole."""
+    if not coverage.whole:
+        complain(f"warning: {name}: covers {coverage}")
 
 
 def _print_result(result: dict[str, Any]) -> None:

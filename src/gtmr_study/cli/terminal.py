@@ -8,6 +8,10 @@
 
 """What the commands share: options, tables, progress, and what is wrong in one clear line."""
 
+import errno
+import io
+import os
+import sys
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -19,6 +23,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gtmr_model import ConfigError
+from gtmr_model.yaml_file import printable
 from gtmr_monitor.bag.format import BagError
 from gtmr_study.result_files import InputError
 
@@ -26,6 +31,8 @@ BAD_INPUT = 2
 """Exit code of bad input."""
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
+OF_THE_MACHINE = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE, errno.ENOMEM)
+"""What the system says of a file where another file would do no better."""
 UsageError: type[Exception] = typer.BadParameter.__bases__[0]
 """What wrong options raise; from typer, since it may carry its own copy of click."""
 
@@ -52,7 +59,7 @@ _errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
 
 def complain(reason: object) -> None:
     """Say on stderr, in one line, what is wrong."""
-    _errors.print(f"gtmr: {reason}")
+    _errors.print(f"gtmr: {printable(str(reason))}")
 
 
 def print_columns(
@@ -88,14 +95,24 @@ def progress(amount: ProgressColumn | None = None) -> Progress:
 def exit_code_of(command: Callable[[], Any]) -> int:
     """Run a command; what it refuses is said in one line.
 
-    The exit code is the command's own (None is 0), 2 for bad input, or 130 after Ctrl-C.
+    The exit code is the command's own (None is 0), 2 for bad input, a file that cannot be used
+    among it, 1 if the machine has no room or a fault, or 130 after Ctrl-C.
     """
+    # A name may hold bytes that are no text.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         # typer makes an exit code of its own of Ctrl-C in a command.
         code = command() or 0
     except (ConfigError, InputError, BagError) as error:
         complain(error)
         return BAD_INPUT
+    except OSError as error:
+        if error.filename is None:
+            raise
+        complain(f"{os.fsdecode(error.filename)}: {error.strerror}")
+        return 1 if error.errno in OF_THE_MACHINE else BAD_INPUT
     except UsageError as error:
         complain(cast(Any, error).format_message())
         return BAD_INPUT

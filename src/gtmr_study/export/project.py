@@ -96,6 +96,7 @@ def _flight(config: ControllerConfig, mode: Mode) -> str:
         helix=config.helix,
         uncertainty=config.uncertainty,
         zeta=zeta,
+        guard="hold",
     )
     simulation = Simulation(scenario, config.sampling_time_s)
     start = simulation.x

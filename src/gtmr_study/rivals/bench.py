@@ -94,13 +94,15 @@ def record_situations(steps: int) -> list[Situation]:
     """Fly what the contenders are timed on.
 
     Calm flight; wind with gusts towards the tower, where the tightened clearance is active much of
-    the time; starts from far off, where rotor limits and slacks are.
+    the time; starts from far off, where rotor limits and slacks are. No guard interferes.
     """
-    windy = Scenario(zeta=FIG_1_ZETA, gust=GustConfig(kind="worst-case"))
+    windy = Scenario(zeta=FIG_1_ZETA, gust=GustConfig(kind="worst-case"), guard="hold")
     return [
-        Situation("calm", list(_flight(Scenario(gust=GustConfig(kind="none")), steps))),
+        Situation(
+            "calm", list(_flight(Scenario(gust=GustConfig(kind="none"), guard="hold"), steps))
+        ),
         Situation("at the limit", list(_flight(windy, steps))),
-        Situation("recovery", list(_recoveries(Scenario(), steps))),
+        Situation("recovery", list(_recoveries(Scenario(guard="hold"), steps))),
     ]
 
 

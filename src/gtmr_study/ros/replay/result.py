@@ -161,6 +161,7 @@ class Replay:
             "rotor_speeds": dict(Counter(step.rotor_source for step in self.steps)),
             "guessed_parameters": self.guessed,
             "late_messages": self.recording.late,
+            "coverage": self.recording.coverage.as_json(),
             "notes": self.notes,
         }
 

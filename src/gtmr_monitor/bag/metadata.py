@@ -1,0 +1,87 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What rosbag2's metadata.yaml says of a bag: its files, its topics, their quality of service."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+
+METADATA_VERSION = 9
+"""Version of rosbag2's metadata.yaml, Jazzy's."""
+ROS_DISTRO = "jazzy"
+"""Whose message definitions the bag carries."""
+FILE_NAME = "metadata.yaml"
+"""Beside the MCAP files of a bag."""
+_MOST_BYTES = 10_000_000
+"""No metadata.yaml is as large as that [bytes]."""
+
+_FOREVER = {"sec": 9223372036, "nsec": 854775807}
+
+
+@dataclass(frozen=True)
+class OfferedQos:
+    """Quality of service of a topic's publishers, as the bag tells it to a player."""
+
+    depth: int = 10
+    """How many messages the publisher keeps."""
+    reliability: Literal["reliable", "best_effort"] = "reliable"
+    """Whether messages are sent again until they arrive."""
+    durability: Literal["volatile", "transient_local"] = "volatile"
+    """Whether late subscribers get the last messages."""
+
+    def profile(self) -> dict[str, Any]:
+        """Return one entry of ``offered_qos_profiles``, metadata version 9."""
+        return {
+            "history": "keep_last",
+            "depth": self.depth,
+            "reliability": self.reliability,
+            "durability": self.durability,
+            "deadline": dict(_FOREVER),
+            "lifespan": dict(_FOREVER),
+            "liveliness": "automatic",
+            "liveliness_lease_duration": dict(_FOREVER),
+            "avoid_ros_namespace_conventions": False,
+        }
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a metadata.yaml says there is in a bag."""
+
+    files: tuple[str, ...]
+    """Names of its MCAP files, in order."""
+    messages: int
+    """How many messages there are in all of them."""
+    topics: Mapping[str, int]
+    """How many there are, by topic."""
+
+
+def read_contents(folder: Path) -> Contents | None:
+    """Read what the metadata.yaml of a bag says; None if there is none.
+
+    Raises ValueError if it cannot be read, or is not what rosbag2 writes.
+    """
+    path = folder / FILE_NAME
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise ValueError(f"{path}: too large")
+        bag = yaml.safe_load(path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+        topics = bag["topics_with_message_count"]
+        return Contents(
+            tuple(str(name) for name in bag["relative_file_paths"]),
+            int(bag["message_count"]),
+            {str(t["topic_metadata"]["name"]): int(t["message_count"]) for t in topics},
+        )
+    except FileNotFoundError:
+        return None
+    except Exception as error:  # whatever a broken file makes YAML raise
+        raise ValueError(f"{path}: {error}") from None

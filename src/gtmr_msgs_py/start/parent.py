@@ -1,0 +1,54 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Child processes end with the process that started them, whatever ends that, SIGKILL included."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+from pathlib import Path
+
+PARENT = "GTMR_PARENT"
+"""Environment variable: process id with which a child is to end."""
+PR_SET_PDEATHSIG = 1
+"""Of Linux's prctl(2): the signal that the kernel sends when the parent ends."""
+
+
+def bound_to_this_process() -> dict[str, str]:
+    """Give what to add to the environment of a child, one of ours, that is to end with us.
+
+    It is meant for children started from the main thread: the kernel takes the end of the thread
+    that started a child for that of its parent.
+    """
+    return {PARENT: str(os.getpid())}
+
+
+def end_with_parent() -> None:
+    """Have the kernel send SIGTERM here when the parent ends, if the environment asks for it.
+
+    A parent that is gone already ends this process at once, with exit code 0. Children of this
+    process are not bound. Only Linux can do it; elsewhere nothing happens.
+    """
+    parent = os.environ.pop(PARENT, None)
+    if parent is None or sys.platform != "linux":
+        return
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    # Between the two there may be a debugger or a terminal, with which it ends then.
+    if os.getppid() != int(parent) and not _is_alive(int(parent)):
+        os._exit(0)
+
+
+def _is_alive(process_id: int) -> bool:
+    try:
+        status = Path(f"/proc/{process_id}/stat").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return False
+    return status.rpartition(")")[2].split()[0] not in "ZX"
