@@ -8,8 +8,6 @@
 
 """CasADi expressions written out as plain C99, several points a call."""
 
-from __future__ import annotations
-
 import casadi as ca
 
 BINARY = {

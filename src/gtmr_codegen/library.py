@@ -8,8 +8,6 @@
 
 """C sources to a loaded shared library, through a cache that belongs to the user."""
 
-from __future__ import annotations
-
 import ctypes
 import hashlib
 import os

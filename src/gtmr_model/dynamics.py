@@ -8,8 +8,6 @@
 
 """Equations of motion of the GTMR, eq. (3), once: symbolic, with a NumPy face."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

@@ -8,8 +8,6 @@
 
 """What is followed: a path in time, of which position and yaw are formulas, eq. (2)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from typing import Any

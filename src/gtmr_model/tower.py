@@ -8,8 +8,6 @@
 
 """The tower: a vertical cylinder on the z axis of the world frame (Sec. II-A)."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

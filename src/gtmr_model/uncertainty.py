@@ -8,8 +8,6 @@
 
 """The structured uncertainty zeta, eq. (4), its box, and the gust bound (Sec. III)."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Annotated
 

@@ -8,8 +8,6 @@
 
 """Whether the nodes of a flight were told of the same tower: each has it from its parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -8,8 +8,6 @@
 
 """A recorded flight: what reports are made from."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property

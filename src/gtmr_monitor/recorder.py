@@ -8,8 +8,6 @@
 
 """Recording that may fail in flight: a full disk is no reason to stop watching."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from gtmr_monitor.bag.format import BagError

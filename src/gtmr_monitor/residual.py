@@ -8,8 +8,6 @@
 
 """Statistics of the clearance residual s = d_min - d_T (Fig. 2, Table II) and of solve times."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import TypedDict

@@ -12,8 +12,6 @@ Readers of bags use it where there is no ROS; `topics` makes publishers and subs
 Names are relative, so that namespaces and remaps work; only what ROS itself fixes is absolute.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -8,8 +8,6 @@
 
 """Everything that defines the controller's problem, with the defaults' sources."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field, SerializeAsAny, model_validator

@@ -8,8 +8,6 @@
 
 """The controller: a state in, a plan out; keeps the warm start from step to step."""
 
-from __future__ import annotations
-
 import math
 import time
 

@@ -8,8 +8,6 @@
 
 """What a controller needs of a real-time iteration that keeps its iterate to itself."""
 
-from __future__ import annotations
-
 from typing import NamedTuple, Protocol
 
 import numpy as np

@@ -8,8 +8,6 @@
 
 """The nominal optimal control problem, eq. (5) and (6): discretisation, outputs, reference."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import casadi as ca

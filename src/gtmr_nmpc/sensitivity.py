@@ -8,8 +8,6 @@
 
 """Parametric sensitivities Pi = dx/dzeta along a plan, eq. (7) and (8)."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray

@@ -8,8 +8,6 @@
 
 """Gust forces w_g(t): bounded, seeded, one sample per hold period (Sec. III)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

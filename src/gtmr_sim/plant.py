@@ -8,8 +8,6 @@
 
 """The true vehicle: eq. (3) with the true zeta, a fine integration step and actuator limits."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable
 from functools import lru_cache, partial

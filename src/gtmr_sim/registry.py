@@ -8,8 +8,6 @@
 
 """Gusts and vehicle effects by name: one's own beside those that come with the suite."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from importlib.metadata import entry_points
 from typing import Any, Generic, TypeVar

@@ -8,8 +8,6 @@
 
 """Search what the paper leaves out for the values that come closest to its results."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

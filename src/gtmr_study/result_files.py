@@ -8,8 +8,6 @@
 
 """Where results go: nothing that exists is overwritten, and no half-written file is left."""
 
-from __future__ import annotations
-
 import json
 import os
 import secrets

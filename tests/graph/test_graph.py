@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 from lifecycle_msgs.msg import Transition as TransitionMessage
 from lifecycle_msgs.srv import ChangeState
+from rclpy.serialization import deserialize_message
+from std_srvs.srv import Trigger
 from support.ros_graph import RosGraph
 
 from gtmr_model import Tower
@@ -45,9 +47,13 @@ def graph() -> Iterator[RosGraph]:
         yield graph
 
 
+def times_s(graph, topic, first):
+    """Stamps [s] of what was received on a topic, from some message on."""
+    return [stamps.decode(m.header.stamp) * 1e-9 for m in graph.received[topic][first:]]
+
+
 def flown_s(graph, topic="odom"):
-    received = graph.received[topic]
-    return stamps.decode(received[-1].header.stamp) * 1e-9 if received else 0.0
+    return (times_s(graph, topic, -1) or [0.0])[-1]
 
 
 def positions(messages):
@@ -72,40 +78,44 @@ def test_a_newcomer_finds_the_graph_within_two_seconds(graph):
 
 
 def test_fifty_switches_in_a_minute_make_no_bump_and_no_violation(graph):
-    graph.listen(LOOP)
+    # As bytes: this process has to keep up, to switch when it is time, and so does less at every
+    # step than the nodes that the flight waits for.
+    graph.listen(LOOP, raw=True)
+    received = graph.received
     graph.start(NMPC, mode="nominal", recorders="1")
     graph.start(MONITOR)
-    # Not as fast as possible: this process has to keep up, to switch when it is time.
-    graph.start(SIM, recorders="1", seed="4", lockstep="true", real_time_factor="4.0")
     client = graph.parameters_of("nmpc")
+    graph.start(SIM, recorders="1", seed="4", lockstep="true", real_time_factor="4.0")
+
+    def flown_s():
+        return odometry.unpack(received["odom"][-1])[0] * 1e-9 if received["odom"] else 0.0
+
+    def eps_s_m(margins):
+        return tightening.decode(deserialize_message(margins, topics.TIGHTENING.message)).eps_s[0]
 
     def margins_are(mode):
-        received = graph.received["tightening"]
-        eps_s_m = tightening.decode(received[-1]).eps_s[0] if received else np.nan
-        return eps_s_m == pytest.approx(EPS_S_M if mode == "robust" else 0.0)
+        now_m = eps_s_m(received["tightening"][-1]) if received["tightening"] else np.nan
+        return now_m == pytest.approx(EPS_S_M if mode == "robust" else 0.0)
 
     mode, switched_s = "nominal", []
     while len(switched_s) < SWITCHES:
         due_s = (switched_s[-1] if switched_s else 0.0) + SWITCH_PERIOD_S
-        graph.wait_until(lambda due_s=due_s: flown_s(graph) >= due_s)
+        graph.wait_until(lambda due_s=due_s: flown_s() >= due_s)
         graph.wait_until(lambda mode=mode: margins_are(mode))
         mode = "robust" if mode == "nominal" else "nominal"
         assert graph.set_parameter("nmpc", "mode", mode, client).successful
-        switched_s.append(flown_s(graph))
+        switched_s.append(flown_s())
     end_s = max(60.0, switched_s[-1] + SWITCH_PERIOD_S)
-    graph.wait_until(lambda: flown_s(graph) > end_s)
+    graph.wait_until(lambda: flown_s() > end_s)
 
     # A command may come twice, for an odometry that came twice; margins come once a step.
-    by_stamp = {
-        c.stamp_ns: c
-        for c in (rotor_command.decode(m, 6) for m in graph.received["rotor_command"])
-    }
+    reader = rotor_command.Reader(6)
+    by_stamp = {c.stamp_ns: c for c in map(reader.unpack, received["rotor_command"])}
     commands = sorted(by_stamp.values(), key=lambda c: c.stamp_ns)
-    n = min(len(commands), len(graph.received["tightening"]))
+    n = min(len(commands), len(received["tightening"]))
     assert n > 2300
     # The constant term of the margins tells how far these have come in.
-    decoded = [tightening.decode(m) for m in graph.received["tightening"][:n]]
-    scale = np.array([m.eps_s[0] for m in decoded]) / EPS_S_M
+    scale = np.array([eps_s_m(m) for m in received["tightening"][:n]]) / EPS_S_M
     change = np.sign(np.round(np.diff(scale, prepend=0.0), 12))
     direction = [0.0]
     for sign in change:
@@ -119,7 +129,7 @@ def test_fifty_switches_in_a_minute_make_no_bump_and_no_violation(graph):
     assert jump[switches].max() <= ordinary.max()
     assert jump[switches].max() < 5.0
 
-    flown = positions(graph.received["odom"])
+    flown = {stamp_ns: x[:3] for stamp_ns, x in map(odometry.unpack, received["odom"])}
     guarded = [c.stamp_ns for c, s in zip(commands, scale, strict=False) if s > 0.0]
     at = np.array([flown[t] for t in guarded if t in flown])
     assert len(at) > 0.9 * len(guarded)
@@ -157,16 +167,17 @@ def test_the_pace_changes_in_flight_and_the_flight_stays_the_same(graph):
     graph.listen([topics.ODOM, topics.DIAGNOSTICS])
     graph.start(NMPC, use_sim_time="true")
     graph.start(SIM, lockstep="true", real_time_factor="0.1")
+    client = graph.parameters_of("sim")
+
     graph.wait_until(lambda: flown_s(graph) > 0.0)
+    # At the slow pace little is on its way: what is heard late would pass for haste.
     since, wall = flown_s(graph), time.monotonic()
     graph.wait_until(lambda: flown_s(graph) > since + 0.1)
-    assert (flown_s(graph) - since) / (time.monotonic() - wall) < 0.15
-    slow = graph.set_parameter("sim", "real_time_factor", 20.0)
-    assert slow.successful
-    graph.wait_until(lambda: flown_s(graph) > 2.0)
+    assert (flown_s(graph) - since) / (time.monotonic() - wall) < 0.2
     since, wall = flown_s(graph), time.monotonic()
-    graph.wait_until(lambda: flown_s(graph) > since + 2.0)
-    assert (flown_s(graph) - since) / (time.monotonic() - wall) < 21.0
+    assert graph.set_parameter("sim", "real_time_factor", 5.0, client).successful
+    graph.wait_until(lambda: flown_s(graph) > since + 4.0)
+    assert (flown_s(graph) - since) / (time.monotonic() - wall) < 5.25
     assert same_flight(graph.received["odom"], fly(Scenario(), Controller(), 2.0))
 
     def newest(name):
@@ -178,7 +189,7 @@ def test_the_pace_changes_in_flight_and_the_flight_stays_the_same(graph):
     def told_of_the_pace():
         message = newest("sim: simulator")
         values = diagnostics.decode(message.status[0]) if message else {}
-        return values.get("real_time_factor_asked") == 20.0
+        return values.get("real_time_factor_asked") == 5.0
 
     graph.wait_until(told_of_the_pace)
     # Nobody speaks in the wall's time, which is many years.
@@ -188,7 +199,7 @@ def test_the_pace_changes_in_flight_and_the_flight_stays_the_same(graph):
     refused = graph.set_parameter("sim", "real_time_factor", -1.0)
     assert not refused.successful
     assert "real_time_factor" in refused.reason
-    assert graph.get_parameter("sim", "real_time_factor") == 20.0
+    assert graph.get_parameter("sim", "real_time_factor") == 5.0
 
 
 def test_wind_and_gusts_change_in_flight_together_or_not_at_all(graph):
@@ -257,19 +268,19 @@ def test_managed_nodes_publish_only_while_they_are_active(graph):
     assert tightening.decode(graph.received["tightening"][-1]).alpha_p.max() == 0.0
 
     ask("nmpc", "deactivate")
-    # What was sent before is heard before the answer to a later question.
-    graph.parameters_of("nmpc")
-    heard = len(graph.received["rotor_command"])
-    at = flown_s(graph)
-    graph.wait_until(lambda: flown_s(graph) > at + 0.1)
-    assert len(graph.received["rotor_command"]) - heard <= 1
+    # Begun again, the flight waits for an answer; what is on its way is for the one before.
+    assert graph.call(Trigger, "sim/reset", Trigger.Request()).success
+    commands, at = len(graph.received["rotor_command"]), len(graph.received["odom"])
+    graph.wait_until(lambda: times_s(graph, "odom", at)[-5:] == [0.0] * 5)
+    assert 0.0 not in times_s(graph, "rotor_command", commands)
     ask("nmpc", "activate")
-    graph.wait_until(lambda: len(graph.received["rotor_command"]) > heard + 10)
+    graph.wait_until(lambda: flown_s(graph) > 0.2)
 
+    at = flown_s(graph)
     ask("sim", "deactivate")
     ask("sim", "cleanup")
     graph.wait_until(lambda: graph.node.count_publishers("odom") == 0)
+    before = len(graph.received["odom"])
     for transition in ("configure", "activate"):
         ask("sim", transition)
-    graph.received["odom"].clear()
-    graph.wait_until(lambda: 0.0 < flown_s(graph) < at)
+    graph.wait_until(lambda: any(0.0 < t < at for t in times_s(graph, "odom", before)))

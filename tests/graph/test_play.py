@@ -40,7 +40,7 @@ from gtmr_msgs_py.start.environment import ros_environment
 from gtmr_msgs_py.wire import stamps
 from gtmr_study.ros.play import play, read_playlist
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 60.0
 
 
 @pytest.fixture

@@ -99,7 +99,7 @@ def test_a_signal_during_the_imports_is_a_clean_end(tmp_path):
     ) as node:  # fmt: skip
         assert node.stdout.readline() == "here\n"
         node.send_signal(signal.SIGINT)
-        _, error = node.communicate(timeout=20)
+        _, error = node.communicate(timeout=60)
     assert (node.returncode, error) == (0, "")
 
 
@@ -130,5 +130,5 @@ def test_a_signal_in_a_callback_lets_it_finish(stop, executor):
     ) as node:  # fmt: skip
         assert node.stdout.readline() == "at work\n"
         node.send_signal(stop)
-        rest, error = node.communicate(timeout=20)
+        rest, error = node.communicate(timeout=60)
     assert (node.returncode, rest, error) == (0, "done\n", "")

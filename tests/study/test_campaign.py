@@ -29,7 +29,7 @@ from gtmr_study.campaign.study import Study
 from gtmr_study.campaign.trial import fly_trial
 from gtmr_study.campaign.trials_file import ResultsError, open_campaign
 
-DEADLINE_S = 60.0
+DEADLINE_S = 120.0
 
 
 def wait_for(condition):

@@ -35,6 +35,8 @@ def recorded(name: str, mode: str = "robust", real_time: bool = False, switch: s
         graph.listen([topics.ODOM])
         monitor = graph.start("gtmr_monitor.node", bag=str(bag))
         graph.start("gtmr_nmpc.node", mode=mode, recorders="1")
+        # Found before the flight, which does not wait.
+        client = graph.parameters_of("nmpc") if switch else None
         sim = graph.start(
             "gtmr_sim.node",
             lockstep=str(not real_time).lower(),
@@ -50,9 +52,9 @@ def recorded(name: str, mode: str = "robust", real_time: bool = False, switch: s
 
         if switch:
             graph.wait_until(lambda: flown_s() > 0.5)
-            assert graph.set_parameter("nmpc", "mode", switch).successful
+            assert graph.set_parameter("nmpc", "mode", switch, client).successful
             graph.wait_until(lambda: flown_s() > 0.8)
-            assert graph.set_parameter("nmpc", "weights.yaw", 30.0).successful
+            assert graph.set_parameter("nmpc", "weights.yaw", 30.0, client).successful
         graph.wait_until(lambda: sim.process.poll() is not None)
         assert sim.process.returncode == 0, sim.output
         assert monitor.interrupt() == 0, monitor.output

@@ -8,8 +8,6 @@
 
 """Reading the flights that a bag recorded, for reports and notebooks."""
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence

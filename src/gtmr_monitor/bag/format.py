@@ -8,8 +8,6 @@
 
 """What writing and reading a bag share: its message types and its errors."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 from rosbags.typesys import Stores, get_typestore

@@ -8,8 +8,6 @@
 
 """What rosbag2's metadata.yaml says of a bag: its files, its topics, their quality of service."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

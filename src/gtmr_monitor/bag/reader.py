@@ -8,8 +8,6 @@
 
 """Reading MCAP bags, whole or damaged, without ROS."""
 
-from __future__ import annotations
-
 import re
 import warnings
 import zlib

@@ -11,8 +11,6 @@
 Reports make a `Flight` of it, replays feed it to the controller.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass

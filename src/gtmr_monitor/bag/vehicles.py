@@ -8,8 +8,6 @@
 
 """Finding the flights of a bag: which vehicles it holds, and which topics are whose."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from itertools import pairwise

@@ -8,8 +8,6 @@
 
 """Writing a rosbag2 folder that survives being killed: metadata.yaml (version 9) and MCAP."""
 
-from __future__ import annotations
-
 import math
 import os
 import time

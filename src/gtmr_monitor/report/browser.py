@@ -8,8 +8,6 @@
 
 """The figures in the browser: interactive, drawn by plotly."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -8,8 +8,6 @@
 
 """How figures on paper look: matplotlib without global state; as PNG, PDF and inline SVG."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Sequence
 from pathlib import Path

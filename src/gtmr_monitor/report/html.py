@@ -8,8 +8,6 @@
 
 """What every report is made of: a page that loads nothing, its style sheet, and tables."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from html import escape
 

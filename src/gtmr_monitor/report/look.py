@@ -8,8 +8,6 @@
 
 """What the figures on paper and in the browser have in common: colours, labels, channels."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -8,8 +8,6 @@
 
 """The report of one or more flights: one self-contained HTML file, and the figures as PNG."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from html import escape

@@ -8,8 +8,6 @@
 
 """The figures on paper: PNG, drawn by matplotlib."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

@@ -8,8 +8,6 @@
 
 """The distance to the tower as sensor_msgs/Range, and its residual as std_msgs/Float64."""
 
-from __future__ import annotations
-
 import math
 
 from sensor_msgs.msg import Range

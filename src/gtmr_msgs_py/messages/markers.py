@@ -8,8 +8,6 @@
 
 """What RViz and Foxglove draw, as visualization_msgs: tower, shells, vehicle and plan."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 

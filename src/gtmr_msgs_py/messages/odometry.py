@@ -12,8 +12,6 @@ The state has its velocity in the world frame, the message in the child frame: i
 and nowhere else.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -8,8 +8,6 @@
 
 """Paths through space as nav_msgs/Path."""
 
-from __future__ import annotations
-
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path

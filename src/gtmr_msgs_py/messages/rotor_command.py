@@ -8,8 +8,6 @@
 
 """The controller's whole plan as trajectory_msgs/JointTrajectory."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

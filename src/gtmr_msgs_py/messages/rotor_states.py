@@ -8,8 +8,6 @@
 
 """Rotor speeds as sensor_msgs/JointState: Hz in the state, rad/s in the message."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

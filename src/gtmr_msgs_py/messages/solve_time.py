@@ -8,8 +8,6 @@
 
 """The time of one controller step as std_msgs/Float64."""
 
-from __future__ import annotations
-
 from std_msgs.msg import Float64
 
 

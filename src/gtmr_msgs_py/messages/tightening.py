@@ -8,8 +8,6 @@
 
 """The margins of a controller step, stage by stage, as std_msgs/Float64MultiArray."""
 
-from __future__ import annotations
-
 from array import array
 from dataclasses import dataclass
 

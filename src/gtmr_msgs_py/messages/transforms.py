@@ -12,8 +12,6 @@
 transform, and every view of the suite still works, since all else is published in `map`.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

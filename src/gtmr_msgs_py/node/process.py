@@ -8,8 +8,6 @@
 
 """A node as a process: start, spin, end without a traceback."""
 
-from __future__ import annotations
-
 import gc
 import signal
 import sys

@@ -8,8 +8,6 @@
 
 """A node that is plain, or managed by lifecycle services."""
 
-from __future__ import annotations
-
 import time
 import traceback
 from collections.abc import Callable, Iterable

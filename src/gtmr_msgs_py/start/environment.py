@@ -8,8 +8,6 @@
 
 """The environment in which the suite's nodes run as child processes on one machine."""
 
-from __future__ import annotations
-
 import os
 import sys
 from importlib.resources import files

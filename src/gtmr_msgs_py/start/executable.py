@@ -12,8 +12,6 @@ Between this and the node's own handling of signals lie its imports, which take 
 signal ends them at once, and what is missing is told in one line.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

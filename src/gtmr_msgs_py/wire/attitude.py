@@ -12,8 +12,6 @@ All three forms turn vectors from the body frame (FLU) into the world frame (ENU
 R = Rz(yaw) Ry(pitch) Rx(roll).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -13,8 +13,6 @@ several times as long as a step of the controller. Here bytes are laid out once,
 numbers are replaced.
 """
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -11,8 +11,6 @@
 The one place that decides it, for nodes and readers of bags alike; it needs no ROS.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from enum import Enum, auto
 

@@ -8,8 +8,6 @@
 
 """The C sources of one problem: its dimensions and model, generated; the rest as written."""
 
-from __future__ import annotations
-
 from importlib.resources import files
 
 import casadi as ca

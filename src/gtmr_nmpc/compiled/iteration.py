@@ -8,8 +8,6 @@
 
 """The real-time iteration in C: the sources under ``c/``, compiled for one problem."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from functools import lru_cache

@@ -8,8 +8,6 @@
 
 """The margin of who knows no better: the same at every stage."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field

@@ -8,8 +8,6 @@
 
 """The paper's margin: eq. (12) and (13). The compiled controller has it in C as well."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

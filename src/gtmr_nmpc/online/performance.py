@@ -8,8 +8,6 @@
 
 """A running account of how the controller keeps up."""
 
-from __future__ import annotations
-
 from collections import Counter, deque
 
 import numpy as np

@@ -8,8 +8,6 @@
 
 """When a controller step is due, by the stamps of the odometry rather than by any clock."""
 
-from __future__ import annotations
-
 from enum import Enum, auto
 
 

@@ -8,8 +8,6 @@
 
 """Modes of the closed loop along the helix: which motions decay, and how fast."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -8,8 +8,6 @@
 
 """CasADi functions on NumPy memory, without a conversion per call."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import casadi as ca

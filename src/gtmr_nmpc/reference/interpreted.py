@@ -8,8 +8,6 @@
 
 """The real-time iteration on CasADi's virtual machine: no compiler needed, same answers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

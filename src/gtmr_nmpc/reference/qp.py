@@ -8,8 +8,6 @@
 
 """The condensed QP: hard limits on the rotors, an exact penalty on the clearance."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import daqp

@@ -12,8 +12,6 @@ Preparation linearises, propagates sensitivities and condenses along the current
 the state is known; feedback embeds the measured state, solves one QP and expands its solution.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import casadi as ca

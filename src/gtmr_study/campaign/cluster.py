@@ -8,8 +8,6 @@
 
 """Dask: workers on this machine or on a cluster, fed with chunks, results as they come."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

@@ -8,8 +8,6 @@
 
 """Plans of a campaign: which true mismatches zeta its trials fly with."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Literal
 

@@ -8,8 +8,6 @@
 
 """The report of campaigns: one HTML page that needs nothing else."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path

@@ -8,8 +8,6 @@
 
 """A Monte-Carlo campaign from start, or from where it was interrupted, to its summary."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path

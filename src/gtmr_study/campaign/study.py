@@ -8,8 +8,6 @@
 
 """A study in one file: who flies, against which uncertainty, how often, by which plan."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Annotated, Any
 

@@ -8,8 +8,6 @@
 
 """The figures of a campaign, each from trials.csv alone (Table II, Fig. 2)."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -8,8 +8,6 @@
 
 """One trial in one mode: a flight boiled down to a row of trials.csv."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -8,8 +8,6 @@
 
 """The command line ``gtmr``: one command a job, bad input in one line with exit code 2."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Annotated

@@ -8,8 +8,6 @@
 
 """The command ``gtmr bench``."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from rich.box import SIMPLE_HEAD

@@ -8,8 +8,6 @@
 
 """Commands of the Monte-Carlo studies: ``gtmr campaign``, ``reproduce``, ``calibrate``."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial

@@ -8,8 +8,6 @@
 
 """The command ``gtmr export-c``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -9,8 +9,6 @@
 
 """The command ``gtmr fly``, and what it shares with ``gtmr demo``."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Annotated, Any

@@ -8,8 +8,6 @@
 
 """Commands that use a bag again: ``gtmr replay`` and ``gtmr play``."""
 
-from __future__ import annotations
-
 import signal
 import warnings
 from collections.abc import Iterator

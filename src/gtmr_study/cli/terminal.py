@@ -8,8 +8,6 @@
 
 """What the commands share: options, tables, progress, and what is wrong in one clear line."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os

@@ -8,8 +8,6 @@
 
 """The controller as plain C99, for use without Python: sources, parameters, a build, a replay."""
 
-from __future__ import annotations
-
 from importlib.resources import files
 from pathlib import Path
 

@@ -8,8 +8,6 @@
 
 """What the paper reports (Table II, Fig. 2), and how far a campaign is from it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

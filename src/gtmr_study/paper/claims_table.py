@@ -8,8 +8,6 @@
 
 """Every claim of the paper, what was found here, by which command, and a verdict."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace as Values

@@ -8,8 +8,6 @@
 
 """Table II, Fig. 1 and Fig. 2 of the paper, each with the paper's own values beside ours."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

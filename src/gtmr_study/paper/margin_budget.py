@@ -8,8 +8,6 @@
 
 """How large the tightening is, by channel, and how large the paper's robust row would need it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -8,8 +8,6 @@
 
 """The report of a reproduction: one HTML page, and its tables in Markdown."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path

@@ -8,8 +8,6 @@
 
 """Reproduce the paper: its campaign, Table II, Fig. 1, Fig. 2, and what lies behind them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial

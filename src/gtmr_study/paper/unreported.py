@@ -8,8 +8,6 @@
 
 """The values that the paper leaves out: where each stands in a study, and what it can be."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import reduce
 from operator import attrgetter, getitem

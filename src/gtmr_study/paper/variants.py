@@ -8,8 +8,6 @@
 
 """The same trials with one thing changed: other readings of the paper, and what it leaves out."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -12,8 +12,6 @@ Every contender gets the same recorded states, in the same order, with its own w
 controller is timed in all situations; general solvers, being slow, on the first steps of each.
 """
 
-from __future__ import annotations
-
 import platform
 import time
 from collections.abc import Callable, Iterator

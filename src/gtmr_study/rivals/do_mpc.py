@@ -8,8 +8,6 @@
 
 """The nominal problem in do-mpc, as a user of that library would state it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import casadi as ca

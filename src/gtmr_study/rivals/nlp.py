@@ -12,8 +12,6 @@ It shares only the equations of motion with the controller, so that general solv
 program check the controller, and are what it is measured against.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

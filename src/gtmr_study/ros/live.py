@@ -8,8 +8,6 @@
 
 """The live view of the demo: takes what the nodes publish and shows it on a page."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -11,8 +11,6 @@
 It is served by viser, which is needed for this alone: ``pip install 'gtmr[live]'``.
 """
 
-from __future__ import annotations
-
 import atexit
 import io
 import itertools

@@ -8,8 +8,6 @@
 
 """What the live view says in words and numbers, as HTML."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

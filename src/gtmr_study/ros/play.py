@@ -8,8 +8,6 @@
 
 """Publishes a bag with its own timing and /clock, where there is no rosbag2."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable, Iterator

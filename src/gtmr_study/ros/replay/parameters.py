@@ -8,8 +8,6 @@
 
 """The controller's parameters as a bag tells them, from moment to moment."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -8,8 +8,6 @@
 
 """What a replay gave: its steps, their comparison with what was recorded, flights for a report."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from dataclasses import dataclass, replace

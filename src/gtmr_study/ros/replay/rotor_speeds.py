@@ -8,8 +8,6 @@
 
 """The rotor speeds of a recorded flight: measured, or else from the best source there is."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

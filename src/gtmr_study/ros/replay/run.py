@@ -8,8 +8,6 @@
 
 """Runs the controller on what a bag recorded, step by step as the node ran it."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 

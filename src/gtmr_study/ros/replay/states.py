@@ -8,8 +8,6 @@
 
 """The states of a recorded flight that a controller can be fed with."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
