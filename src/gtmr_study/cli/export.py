@@ -40,7 +40,8 @@ def export_c_command(
     except OSError as error:
         raise InputError(f"DIR = {folder}: cannot be written: {error.strerror}") from None
     console.print(
-        f"{len(written)} files in {folder}; the interface is gtmr.h and gtmr_guard.h. Build and check with\n"
+        f"{len(written)} files in {folder}; the interface is gtmr.h and gtmr_guard.h. "
+        "Build and check with\n"
         f"  cmake -S {folder} -B {folder}/build && cmake --build {folder}/build && "
         f"{folder}/build/replay {folder}/flight.csv {folder}/guard.csv",
         soft_wrap=True,
