@@ -8,40 +8,75 @@
 
 """The command line ``gtmr``: one command a job, bad input in one line with exit code 2."""
 
+import ast
 import sys
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
-from gtmr_study.cli.bench import bench_command
-from gtmr_study.cli.campaign import calibrate_command, campaign_command, reproduce_command
-from gtmr_study.cli.demo import demo_command
-from gtmr_study.cli.export import export_c_command
-from gtmr_study.cli.fly import fly_command
-from gtmr_study.cli.replay import damage_told, play_command, replay_command, tell_coverage
 from gtmr_study.cli.terminal import complain, console, exit_code_of, option
 from gtmr_study.result_files import InputError, require_new_file
 
+MODULES = {
+    "fly": "fly",
+    "demo": "demo",
+    "bench": "bench",
+    "export-c": "export",
+    "campaign": "campaign",
+    "reproduce": "campaign",
+    "calibrate": "campaign",
+    "replay": "replay",
+    "play": "replay",
+    "report": "app",
+}
+"""Module of every command, beside this one; there ``export-c`` is ``export_c_command``."""
+
+
+class Commands(TyperGroup):
+    """Loads the module of a command when it is called: all of them together take seconds."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Names of the commands."""
+        return list(MODULES)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Load a command by its name; None if there is none."""
+        if cmd_name not in MODULES:
+            return None
+        module = import_module(f"gtmr_study.cli.{MODULES[cmd_name]}")
+        alone = typer.Typer(add_completion=False, rich_markup_mode=None)
+        alone.command(cmd_name)(getattr(module, _function(cmd_name)))
+        return typer.main.get_command(alone)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write what each command does, as its source says."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, _said_of(name)) for name in MODULES])
+
+
+def _function(name: str) -> str:
+    return f"{name.replace('-', '_')}_command"
+
+
+def _said_of(name: str) -> str:
+    """First line of a command's docstring, without loading it."""
+    source = Path(__file__).with_name(f"{MODULES[name]}.py").read_text(encoding="utf-8")
+    functions = {f.name: f for f in ast.parse(source).body if isinstance(f, ast.FunctionDef)}
+    return (ast.get_docstring(functions[_function(name)]) or "").partition("\n")[0]
+
+
 app = typer.Typer(
+    cls=Commands,
     help="Close-proximity tower inspection with a tilted multirotor: nominal and robust NMPC.",
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
 
-app.command("fly")(fly_command)
-app.command("demo")(demo_command)
-app.command("bench")(bench_command)
-app.command("export-c")(export_c_command)
-app.command("campaign")(campaign_command)
-app.command("reproduce")(reproduce_command)
-app.command("calibrate")(calibrate_command)
-app.command("replay")(replay_command)
-app.command("play")(play_command)
 
-
-@app.command("report")
 def report_command(
     paths: Annotated[
         list[Path], typer.Argument(metavar="PATH...", help="Bags, or folders of campaigns.")
@@ -66,6 +101,7 @@ def report_command(
     else:
         from gtmr_monitor.bag.flight import read_flights
         from gtmr_monitor.report.page import write_report
+        from gtmr_study.cli.replay import damage_told, tell_coverage
 
         with damage_told():
             flights = [flight for path in paths for flight in read_flights(path, vehicle)]
@@ -79,5 +115,5 @@ def report_command(
 
 def main() -> None:
     """Run the command line; the exit code is 0, 2 for bad input, 1 for anything else."""
-    command = typer.main.get_command(app)
+    command = typer.main.get_group(app)
     sys.exit(exit_code_of(lambda: command.main(prog_name="gtmr", standalone_mode=False)))

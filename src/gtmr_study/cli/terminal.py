@@ -22,9 +22,6 @@ from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeR
 from rich.table import Table
 from rich.text import Text
 
-from gtmr_model import ConfigError
-from gtmr_model.yaml_file import printable
-from gtmr_monitor.bag.format import BagError
 from gtmr_study.result_files import InputError
 
 BAD_INPUT = 2
@@ -59,6 +56,9 @@ _errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
 
 def complain(reason: object) -> None:
     """Say on stderr, in one line, what is wrong."""
+    # Only now, as what the help needs must not load CasADi.
+    from gtmr_model.yaml_file import printable
+
     _errors.print(f"gtmr: {printable(str(reason))}")
 
 
@@ -105,19 +105,22 @@ def exit_code_of(command: Callable[[], Any]) -> int:
     try:
         # typer makes an exit code of its own of Ctrl-C in a command.
         code = command() or 0
-    except (ConfigError, InputError, BagError) as error:
-        complain(error)
-        return BAD_INPUT
-    except OSError as error:
-        if error.filename is None:
-            raise
-        complain(f"{os.fsdecode(error.filename)}: {error.strerror}")
-        return 1 if error.errno in OF_THE_MACHINE else BAD_INPUT
     except UsageError as error:
         complain(cast(Any, error).format_message())
         return BAD_INPUT
     except (typer.Abort, KeyboardInterrupt):
         code = INTERRUPTED
+    except Exception as error:
+        from gtmr_model import ConfigError
+        from gtmr_monitor.bag.format import BagError
+
+        if isinstance(error, (ConfigError, InputError, BagError)):
+            complain(error)
+            return BAD_INPUT
+        if not isinstance(error, OSError) or error.filename is None:
+            raise
+        complain(f"{os.fsdecode(error.filename)}: {error.strerror}")
+        return 1 if error.errno in OF_THE_MACHINE else BAD_INPUT
     if code == INTERRUPTED:
         complain("interrupted")
     return code
