@@ -30,6 +30,7 @@ MODULES = {
     "calibrate": "campaign",
     "replay": "replay",
     "play": "replay",
+    "recover": "replay",
     "report": "app",
 }
 """Module of every command, beside this one; there ``export-c`` is ``export_c_command``."""
