@@ -38,7 +38,7 @@ class GuardConfig(YamlModel):
     """Most acceleration that it asks for, sideways and down; up it is that of gravity [m/s^2]."""
     stopped_m_s: float = Field(0.1, gt=0.0)
     """Speed along the tower's surface below which braking is over and the place is held [m/s]."""
-    max_tilt_deg: float = Field(60.0, gt=0.0, lt=180.0)
+    max_tilt_deg: float = Field(45.0, gt=0.0, lt=180.0)
     """Tilt of the vehicle beyond which no controller is trusted [deg]."""
     max_speed_m_s: float = Field(5.0, gt=0.0)
     """Speed beyond which no controller is trusted [m/s]."""
@@ -54,6 +54,8 @@ class GuardConfig(YamlModel):
     """Deceleration towards the tower that is left to the controller's care [m/s^2]."""
     handback_s: float = Field(0.1, gt=0.0)
     """How long all must be well before the controller flies again [s]."""
+    fresh_s: float = Field(0.06, gt=0.0)
+    """How old a plan may be for that: what it began with was not flown [s]."""
     position_filter_rad_s: float = Field(8.0, gt=0.0)
     """Poles of the estimate of velocity and disturbing acceleration [rad/s]."""
     attitude_filter_rad_s: float = Field(20.0, gt=0.0)
@@ -107,6 +109,7 @@ class Parameters(NamedTuple):
     zone_time_s: float
     brake_m_s2: float
     handback_s: float
+    fresh_s: float
     position_filter_rad_s: float
     attitude_filter_rad_s: float
     position_gain: float

@@ -157,6 +157,7 @@ class ReferenceGuard:
         elif self.cause != NONE:
             well = (
                 overdue_s < 0.0
+                and age_s <= k.fresh_s
                 and self.R[2, 2] > 0.5 * (1.0 + k.min_tilt_cosine)
                 and speed < 0.5 * k.max_speed_m_s
                 and rate < 0.5 * k.max_rate_rad_s

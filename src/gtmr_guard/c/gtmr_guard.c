@@ -260,7 +260,8 @@ static void decide(gtmr_guard *g, double dt_s, const double *u_due, double overd
         g->cause = cause;
         g->quiet_s = 0.0;
     } else if (g->cause != GTMR_GUARD_NONE) {
-        int well = overdue_s < 0.0 && g->R[2][2] > 0.5 * (1.0 + k->min_tilt_cosine) &&
+        int well = overdue_s < 0.0 && age_s <= k->fresh_s &&
+                   g->R[2][2] > 0.5 * (1.0 + k->min_tilt_cosine) &&
                    speed < 0.5 * k->max_speed_m_s && rate < 0.5 * k->max_rate_rad_s &&
                    clearance > k->min_clearance_m;
         g->quiet_s = well ? g->quiet_s + dt_s : 0.0;

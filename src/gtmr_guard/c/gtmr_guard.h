@@ -50,6 +50,7 @@ typedef struct {
     double zone_time_s;
     double brake_m_s2;
     double handback_s;
+    double fresh_s;
     /* Poles of the estimates [rad/s], gains of the law [1/s]. */
     double position_filter_rad_s;
     double attitude_filter_rad_s;
