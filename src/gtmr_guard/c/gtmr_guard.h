@@ -48,6 +48,7 @@ typedef struct {
     double max_command_hz_s;
     double zone_m;
     double zone_time_s;
+    double reaction_s;
     double brake_m_s2;
     double handback_s;
     double fresh_s;
