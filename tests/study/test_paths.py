@@ -35,6 +35,8 @@ WRITTEN = {
     "report --out": ["report", "no-bag", "--out"],
     "replay --json": ["replay", "no-bag", "--json"],
     "replay --report": ["replay", "no-bag", "--report"],
+    "recover --out": ["recover", "no-bag", "--out"],
+    "recover --json": ["recover", "no-bag", "--out", "new", "--json"],
 }
 READ = {
     "fly --vehicle": ["fly", "--duration", "0.1", "--vehicle"],
@@ -43,6 +45,7 @@ READ = {
     "report": ["report"],
     "replay": ["replay"],
     "play": ["play"],
+    "recover": ["recover", "--out", "new"],
 }
 LONG = "x" * 300
 BAD = {
