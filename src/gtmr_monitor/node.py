@@ -134,7 +134,8 @@ class WatchedVehicle:
         self.late += place is Place.LATE
         if place is not Place.LATE and self.gaps.take(stamp_ns):
             self.node.warn(
-                f"{self.odometry_name}: {self.gaps.count} gaps, {self.gaps.missing_s:.2f} s in all"
+                f"{self.odometry_name}: gaps so far: {self.gaps.count}, "
+                f"{self.gaps.missing_s:.2f} s in all"
             )
         self.watch.update(residual_m, late=place is Place.LATE)
         return ended

@@ -324,11 +324,30 @@ def test_a_gap_in_the_odometry_is_told(graph):
         for k in (*range(20), *range(30, 40)):
             graph.publish(k)
         graph.wait_until(lambda: any(f["samples"] == 30 for f in figures(graph)))
-        assert "1 gaps, 0.28 s in all" in stop(process)
+        assert "gaps so far: 1, 0.28 s in all" in stop(process)
 
     last = figures(graph)[-1]
     assert (last["odometry_gaps"], last["messages_not_heard"]) == (1, 0)
     assert last["odometry_missing_s"] == pytest.approx(0.275)
+
+
+def test_a_monitor_that_is_held_up_misses_nothing(graph, tmp_path):
+    bag = tmp_path / "bag"
+    with monitor(f"bag:={bag}") as process:
+        graph.await_monitor()
+        graph.publish(0)
+        graph.wait_until(lambda: len(graph.residuals) == 1)
+        process.send_signal(signal.SIGSTOP)
+        for k in range(1, 800):
+            graph.publish(k)
+        process.send_signal(signal.SIGCONT)
+        graph.wait_until(lambda: len(graph.residuals) == 800)
+        graph.wait_until(lambda: figures(graph)[-1]["samples"] == 800)
+        stop(process)
+
+    assert figures(graph)[-1]["messages_not_heard"] == 0
+    coverage = read_flight(bag).coverage
+    assert (coverage.whole, coverage.covered_s) == (True, pytest.approx(799 * 0.025))
 
 
 def test_started_again_it_goes_on_in_the_same_bag_and_says_so(graph, tmp_path):
