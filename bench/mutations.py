@@ -102,7 +102,7 @@ MUTATIONS = [
         CONTROLLER + "a_plan_that_turns_over_does_not_turn_the_next_command_around",
     ),
     (
-        "src/gtmr_nmpc/performance.py",
+        "src/gtmr_nmpc/online/performance.py",
         "solution.timing.total_s > self._deadline_s",
         "solution.timing.feedback_s > self._deadline_s",
         "tests/nmpc/test_performance.py::test_both_phases_together_must_keep_the_deadline",
@@ -135,7 +135,7 @@ MUTATIONS = [
         "src/gtmr_msgs_py/wire/order.py",
         "newest_ns - stamp_ns > RESET_NS",
         "newest_ns - stamp_ns > 0",
-        "tests/nmpc/test_schedule.py::test_an_odometry_that_comes_late_neither_restarts_nor_is_answered",
+        "tests/msgs/test_order.py::test_what_comes_behind_the_newest_is_late_however_often",
     ),
     (
         "src/gtmr_monitor/residual.py",

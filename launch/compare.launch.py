@@ -16,7 +16,6 @@ from typing import Any
 from launch import LaunchContext, LaunchDescription
 from launch.actions import OpaqueFunction
 from launch.events.process import ProcessExited
-from launch_ros.actions import Node
 
 from gtmr_msgs_py.start import launching
 from gtmr_msgs_py.start.launching import IN_FLIGHT_TIME
@@ -31,7 +30,7 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription([*launching.declare(ARGUMENTS), OpaqueFunction(function=nodes)])
 
 
-def nodes(context: LaunchContext) -> list[Node]:
+def nodes(context: LaunchContext) -> list[Any]:
     """Start two flights in lockstep, as only then both meet the same gusts, and one monitor."""
     given = launching.values(ARGUMENTS, context.launch_configurations)
     bag = given.get("bag", "")
@@ -48,9 +47,9 @@ def nodes(context: LaunchContext) -> list[Node]:
     for mode in MODES:
         lockstep, in_mode = {"lockstep": True}, {"mode": mode}
         started += [
-            launching.node("sim", ARGUMENTS, given, recorders | lockstep, mode, on_exit=landed),
-            launching.node("nmpc", ARGUMENTS, given, recorders | in_mode | IN_FLIGHT_TIME, mode),
+            *launching.node("sim", ARGUMENTS, given, recorders | lockstep, mode, on_exit=landed),
+            *launching.node("nmpc", ARGUMENTS, given, recorders | in_mode | IN_FLIGHT_TIME, mode),
         ]
     watched = {"bag": bag, "namespaces": list(MODES)}
     monitor = launching.node("monitor", ARGUMENTS, given, watched)
-    return [*started, monitor, *launching.views(given, MODES)]
+    return [*started, *monitor, *launching.views(given, MODES)]

@@ -8,9 +8,10 @@
 
 """Simulator, controller and monitor together: `ros2 launch gtmr inspection.launch.py`."""
 
+from typing import Any
+
 from launch import LaunchContext, LaunchDescription
 from launch.actions import OpaqueFunction
-from launch_ros.actions import Node
 
 from gtmr_msgs_py.start import launching
 from gtmr_msgs_py.start.launching import IN_FLIGHT_TIME
@@ -28,14 +29,14 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription([*launching.declare(ARGUMENTS), OpaqueFunction(function=nodes)])
 
 
-def nodes(context: LaunchContext) -> list[Node]:
+def nodes(context: LaunchContext) -> list[Any]:
     """Start what was asked for; a flight that is recorded waits for the recorder."""
     given = launching.values(ARGUMENTS, context.launch_configurations)
     bag = given.get("bag", "")
     recorders = {"recorders": 1 if bag else 0}
     return [
-        launching.node("sim", ARGUMENTS, given, recorders),
-        launching.node("nmpc", ARGUMENTS, given, recorders | IN_FLIGHT_TIME),
-        launching.node("monitor", ARGUMENTS, given, {"bag": bag} | IN_FLIGHT_TIME),
+        *launching.node("sim", ARGUMENTS, given, recorders),
+        *launching.node("nmpc", ARGUMENTS, given, recorders | IN_FLIGHT_TIME),
+        *launching.node("monitor", ARGUMENTS, given, {"bag": bag} | IN_FLIGHT_TIME),
         *launching.views(given),
     ]

@@ -11,12 +11,12 @@
 The controller answers the recorded odometry; what it commands moves nothing.
 """
 
+from typing import Any
+
 from launch import LaunchContext, LaunchDescription
-from launch.actions import ExecuteProcess, OpaqueFunction
-from launch_ros.actions import Node
+from launch.actions import OpaqueFunction
 
 from gtmr_msgs_py.start import launching
-from gtmr_msgs_py.start.environment import node_environment
 from gtmr_msgs_py.start.launching import IN_FLIGHT_TIME, Argument
 
 START_TIMEOUT_S = 60
@@ -37,7 +37,7 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription([*launching.declare(ARGUMENTS), OpaqueFunction(function=processes)])
 
 
-def processes(context: LaunchContext) -> list[Node | ExecuteProcess]:
+def processes(context: LaunchContext) -> list[Any]:
     """Start the nodes, and the playback that ends them when it is over."""
     given = launching.values(ARGUMENTS, context.launch_configurations)
     if "bag" not in given:
@@ -46,14 +46,8 @@ def processes(context: LaunchContext) -> list[Node | ExecuteProcess]:
     play = ["play", given["bag"], "--rate", str(given["rate"]), "--wait", str(START_TIMEOUT_S)]
     play += ["--loop"] if given["loop"] else []
     return [
-        launching.node("nmpc", ARGUMENTS, given, IN_FLIGHT_TIME),
-        launching.node("monitor", ARGUMENTS, given, record | IN_FLIGHT_TIME),
-        # As scripts/ find Python: `gtmr` itself is on no path under colcon.
-        ExecuteProcess(
-            cmd=["python3", "-m", "gtmr_study.cli", *play],
-            additional_env=node_environment(),
-            output="screen",
-            on_exit=launching.required,
-        ),
+        *launching.node("nmpc", ARGUMENTS, given, IN_FLIGHT_TIME),
+        *launching.node("monitor", ARGUMENTS, given, record | IN_FLIGHT_TIME),
+        launching.python("gtmr_study.cli", *play),
         *launching.views(given),
     ]

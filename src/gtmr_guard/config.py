@@ -28,14 +28,14 @@ class GuardConfig(YamlModel):
 
     patience_s: float = Field(0.02, ge=0.0)
     """How long past the plan's end the rotors hold their speeds before it takes charge [s]."""
-    max_plan_age_s: float = Field(1.0, gt=0.0)
+    max_plan_age_s: float = Field(0.25, gt=0.0)
     """Oldest plan that may be in play, however long it is [s]."""
     retreat_clearance_m: float = Field(1.0, gt=0.0)
     """d_T at which it hovers; where it is further out already, it stays there [m]."""
     retreat_speed_m_s: float = Field(0.6, gt=0.0)
     """Most speed that it asks for on its way [m/s]."""
-    max_acceleration_m_s2: float = Field(2.5, gt=0.0)
-    """Most acceleration that it asks for, horizontal and vertical apart [m/s^2]."""
+    max_acceleration_m_s2: float = Field(4.0, gt=0.0)
+    """Most acceleration that it asks for, sideways and down; up it is that of gravity [m/s^2]."""
     stopped_m_s: float = Field(0.1, gt=0.0)
     """Speed along the tower's surface below which braking is over and the place is held [m/s]."""
     max_tilt_deg: float = Field(60.0, gt=0.0, lt=180.0)
@@ -60,11 +60,11 @@ class GuardConfig(YamlModel):
     """Poles of the estimate of body rate and disturbing angular acceleration [rad/s]."""
     position_gain: float = Field(1.0, gt=0.0)
     """Speed asked for per distance from the target [1/s]."""
-    velocity_gain: float = Field(2.5, gt=0.0)
+    velocity_gain: float = Field(4.0, gt=0.0)
     """Acceleration asked for per speed error [1/s]."""
-    attitude_gain: float = Field(5.0, gt=0.0)
+    attitude_gain: float = Field(4.0, gt=0.0)
     """Body rate asked for per angle between thrust axis and wanted force [1/s]."""
-    rate_gain: float = Field(15.0, gt=0.0)
+    rate_gain: float = Field(13.0, gt=0.0)
     """Angular acceleration asked for per rate error [1/s]."""
     rotor_gain: float = Field(40.0, gt=0.0)
     """Rotor acceleration asked for per rotor speed error [1/s]."""

@@ -28,7 +28,8 @@ JUMP_M, JUMP_RAD = 0.5, 1.0
 NONE, UNUSABLE, ENDED, TILT, SPEED, ZONE = range(6)
 """Indices of `CAUSES`."""
 UPSIDE_DOWN = 0.5
-"""Cosine of the angle between thrust axis and wanted force below which it only turns [-]."""
+"""Cosine of the angle between thrust axis and wanted force below which it only turns, and less
+than whose negative is upside down [-]."""
 MAX_TURN_RAD_S = 3.0
 """Most body rate that it asks for [rad/s]."""
 MIN_LIFT = 0.3
@@ -133,7 +134,7 @@ class ReferenceGuard:
 
         lingers = clearance < k.zone_m and v_r < k.stopped_m_s
         self._zone_s = self._zone_s + dt if lingers else 0.0
-        unstoppable = v_r < 0.0 and clearance < v_r * v_r / (2.0 * k.brake_m_s2)
+        unstoppable = v_r < 0.0 and clearance < k.zone_m + v_r * v_r / (2.0 * k.brake_m_s2)
         # Not a number compares as false.
         usable = bool((np.abs(u_due) <= k.max_command_hz_s).all())
 
@@ -183,17 +184,20 @@ class ReferenceGuard:
         v_wanted = limited(k.position_gain * (self._target - self._p), k.retreat_speed_m_s)
         a = k.velocity_gain * (v_wanted - self.v)
         a[:2] = limited(a[:2], k.max_acceleration_m_s2)
-        a[2] = min(max(a[2], -k.max_acceleration_m_s2), k.max_acceleration_m_s2)
+        a[2] = min(max(a[2], -k.max_acceleration_m_s2), GRAVITY_M_S2)
         force = k.mass_kg * (a + GRAVITY - self.d)
         force[2] = max(force[2], MIN_LIFT * k.mass_kg * GRAVITY_M_S2)
 
         f = self.R.T @ force
-        # Turn the thrust axis, body e3, into the wanted force; heading is nobody's concern.
-        sine, cosine = math.sqrt(f[0] * f[0] + f[1] * f[1]), f[2]
+        upright = f[2] / math.sqrt(f @ f)
+        # Turn the thrust axis, body e3, into the wanted force; heading is nobody's concern. Upside
+        # down, turn by way of outward, so that thrust does not sweep across the tower.
+        aim = self.R.T @ outward if upright < -UPSIDE_DOWN else f
+        sine = math.sqrt(aim[0] * aim[0] + aim[1] * aim[1])
         axis = np.array([1.0, 0.0, 0.0])
         if sine > 1e-9:
-            axis = np.array([-f[1] / sine, f[0] / sine, 0.0])
-        turn = min(k.attitude_gain * math.atan2(sine, cosine), MAX_TURN_RAD_S) * axis
+            axis = np.array([-aim[1] / sine, aim[0] / sine, 0.0])
+        turn = min(k.attitude_gain * math.atan2(sine, aim[2]), MAX_TURN_RAD_S) * axis
         inertia = k.inertia_kg_m2
         spin = k.rate_gain * (turn - self.omega) - self.d_omega
         torque = inertia * spin + np.cross(self.omega, inertia * self.omega)
@@ -201,7 +205,7 @@ class ReferenceGuard:
         low, high = k.min_rotor_speed_hz**2, k.max_rotor_speed_hz**2
         squared = k.inverse[:, 2] * min(max(f[2], k.min_thrust_n), k.max_thrust_n)
         squared = within(squared, k.inverse[:, 3:] @ torque, low, high)
-        if cosine > UPSIDE_DOWN * math.sqrt(f @ f):
+        if upright > UPSIDE_DOWN:
             squared = within(squared, k.inverse[:, :2] @ f[:2], low, high)
         xi = np.sqrt(np.clip(squared, low, high))
         limit = k.max_rotor_acceleration_hz_s
@@ -230,9 +234,9 @@ def within(base: Array, more: Array, low: float, high: float) -> Array:
     """Add as much of what is asked for more as stays between the bounds."""
     share = 1.0
     for b, m in zip(base, more, strict=True):
-        if b + share * m > high:
+        if m > 0.0 and b + share * m > high:
             share = max(0.0, (high - b) / m)
-        elif b + share * m < low:
+        elif m < 0.0 and b + share * m < low:
             share = max(0.0, (low - b) / m)
     return base + share * more
 

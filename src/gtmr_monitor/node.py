@@ -22,13 +22,12 @@ from pydantic import Field, field_validator
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 
-from gtmr_model import ConfigError, Tower, YamlModel
+from gtmr_model import ConfigError, Tower
 from gtmr_monitor.agreement import NAMES, TowerAgreement
 from gtmr_monitor.bag.format import BagError, without_tail
 from gtmr_monitor.bag.metadata import OfferedQos
@@ -40,12 +39,14 @@ from gtmr_msgs_py.node import diagnostics
 from gtmr_msgs_py.node.diagnostics import Level
 from gtmr_msgs_py.node.listening import Info, listen, received_ns, take_what_arrived
 from gtmr_msgs_py.node.parameter_events import PARAMETER_EVENTS, ParameterFetch, own_parameters
-from gtmr_msgs_py.node.parameters import ModelParameters
+from gtmr_msgs_py.node.parameters import FrameParameters, ModelParameters
 from gtmr_msgs_py.node.process import run
 from gtmr_msgs_py.node.suite_node import SuiteNode
 from gtmr_msgs_py.wire import stamps
+from gtmr_msgs_py.wire.drops import Drops
 from gtmr_msgs_py.wire.message_error import MessageError
-from gtmr_msgs_py.wire.order import StampOrder
+from gtmr_msgs_py.wire.order import Place, StampOrder
+from gtmr_msgs_py.wire.reading import read
 
 DIAGNOSTICS_PERIOD_S = 1.0
 """Between two messages on /diagnostics, wall time [s]."""
@@ -53,15 +54,13 @@ FLUSH_PERIOD_S = 0.5
 """Between two flushes of the bag where no messages come that would cause one, wall time [s]."""
 PARAMETERS_PERIOD_S = 0.1
 """Between two looks for nodes whose parameters are not yet in the bag, wall time [s]."""
-WARNING_PERIOD_S = 5.0
-"""Least time between two warnings about the same [s]."""
 FLYING = sorted({n for topic in topics.TOPICS for n in topic.publishers} - {"monitor"})
 """Nodes of which every vehicle has its own."""
 NAMESPACE = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 """What may stand before the topics of a vehicle."""
 
 
-class MonitorParameters(YamlModel):
+class MonitorParameters(FrameParameters):
     """The parameters of the node."""
 
     tower: Tower = Tower()
@@ -88,12 +87,14 @@ class WatchedVehicle:
     Its namespace is relative to that of the node, the monitor; empty for that.
     """
 
-    def __init__(self, node: Node, namespace: str) -> None:
+    def __init__(self, node: SuiteNode, namespace: str) -> None:
         self.namespace = namespace
         self.watch = ResidualWatch()
         """The residual since the flight began."""
-        self.unusable = 0
-        """How many odometry messages could not be used."""
+        self.late = 0
+        """How many odometry messages came behind newer ones."""
+        self.drops = Drops(lambda reason: node.warn(f"{self.odometry_name}: {reason}"))
+        """Its odometry that could not be used."""
         self.odometry_name = node.resolve_topic_name(self.topic(topics.ODOM).name)
         self.clearance = self.topic(topics.CLEARANCE).publisher(node)
         self.residual = self.topic(topics.CLEARANCE_RESIDUAL).publisher(node)
@@ -115,11 +116,17 @@ class WatchedVehicle:
         return replace(topic, name=f"{self.namespace}/{topic.name}")
 
     def update(self, stamp_ns: int, residual_m: float) -> ResidualWatch | None:
-        """Take in a residual [m]; of a flight that another one follows, return the watch."""
-        ended = self.watch if self.order.resets(stamp_ns) else None
-        if ended is not None:
-            self.watch = ResidualWatch()
-        self.watch.update(residual_m, late=self.order.is_late(stamp_ns))
+        """Take in a residual [m]; of a flight that another one follows, return the watch.
+
+        Raises MessageError if the stamp is of another time than all around it.
+        """
+        place, ended = self.order.place(stamp_ns), None
+        if place in (Place.PAST, Place.FUTURE):
+            raise self.order.refusal(place, stamp_ns)
+        if place is Place.RESET:
+            ended, self.watch, self.late = self.watch, ResidualWatch(), 0
+        self.late += place is Place.LATE
+        self.watch.update(residual_m, late=place is Place.LATE)
         return ended
 
 
@@ -214,7 +221,7 @@ class MonitorNode(SuiteNode):
 
     def _on_parameter_event(self, data: bytes, info: Info) -> None:
         self._on_message(PARAMETER_EVENTS.name, data, info)
-        self._compare(deserialize_message(data, ParameterEvent))
+        self._compare(read(data, ParameterEvent))
 
     def _compare(self, event: ParameterEvent) -> None:
         """Take in what a node of a vehicle takes for the tower."""
@@ -227,13 +234,15 @@ class MonitorNode(SuiteNode):
     def _on_odometry(self, vehicle: WatchedVehicle, data: bytes, info: Info) -> None:
         came_ns = received_ns(info)
         self._recording.write(vehicle.odometry_name, data, came_ns, info["source_timestamp"])
-        tower = self._settings.value.tower
         try:
-            stamp_ns, x = odometry.unpack(data)
+            self._watch(vehicle, data, came_ns)
         except MessageError as error:
-            vehicle.unusable += 1
-            self.get_logger().warning(f"ignored: {error}", throttle_duration_sec=WARNING_PERIOD_S)
-            return
+            vehicle.drops.add(error)
+
+    def _watch(self, vehicle: WatchedVehicle, data: bytes, came_ns: int) -> None:
+        settings = self._settings.value
+        tower = settings.tower
+        stamp_ns, x = odometry.unpack(data, settings.frames)
         residual_m = float(tower.residual(x))
         begins = vehicle.order.newest_ns is None
         ended = vehicle.update(stamp_ns, residual_m)
@@ -244,7 +253,7 @@ class MonitorNode(SuiteNode):
             )
         if begins or ended is not None:
             self.tell_parameters()
-        distance = clearance.encode(stamp_ns, float(tower.clearance(x)))
+        distance = clearance.encode(stamp_ns, float(tower.clearance(x)), settings.body_frame)
         # With the odometry's time in the bag, so that they stay together.
         self._publish(vehicle.clearance, distance, came_ns)
         self._publish(vehicle.residual, clearance.encode_residual(residual_m), came_ns)
@@ -280,7 +289,7 @@ class MonitorNode(SuiteNode):
             level, message = Level.STALE, "no odometry"
         elif watch.violations:
             level, message = Level.WARN, "the clearance was violated"
-        if vehicle.order.late:
+        if vehicle.late:
             message += "; some odometry came late"
         vehicle.towers.take(
             self.get_name(), dict(zip(NAMES, (tower.radius_m, tower.min_clearance_m), strict=True))
@@ -297,8 +306,10 @@ class MonitorNode(SuiteNode):
             "min_clearance_m": tower.min_clearance_m,
             "violations": watch.violations,
             "samples": watch.samples,
-            "unusable_odometry": vehicle.unusable,
-            "late_odometry": vehicle.order.late,
+            "late_odometry": vehicle.late,
+            **vehicle.drops.figures(),
+            "dropped_beside_odometry": self.drops.counts.total(),
+            "callback_errors": self.callback_errors,
             "recording": recording.active,
             "bag": self._settings.value.bag,
             "messages_written": recording.messages,

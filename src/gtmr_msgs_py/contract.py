@@ -14,6 +14,7 @@ Names are relative, so that namespaces and remaps work; only what ROS itself fix
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from gtmr_model.uncertainty import CHANNELS
 
@@ -27,6 +28,15 @@ TIGHTENING_COLUMNS = (*CHANNELS, "eps_s", "alpha_g", "slack")
 """What a row of `tightening` holds: terms of alpha_p, eq. (12), alpha_g, eq. (13), slack [m]."""
 TIGHTENING_STAGE = "stage"
 """Label of the first dimension of `tightening`; that of the second is the columns."""
+
+
+class Frames(NamedTuple):
+    """The two frames of a vehicle by name; those of several vehicles may differ."""
+
+    world: str = MAP
+    """World frame, ENU (REP-105)."""
+    body: str = BASE_LINK
+    """Body frame, FLU (REP-103)."""
 
 
 def rotor_names(n_rotors: int) -> list[str]:
@@ -71,6 +81,13 @@ ROTOR_COMMAND = TopicName(
     ("sim", "monitor"),
     "The whole plan: point i, at i T_s after the stamp of its odometry, has `velocities` [rad/s] "
     "and `accelerations` [rad/s^2]; point N holds the speed",
+)
+GUARD = TopicName(
+    "guard",
+    "std_msgs/msg/Bool",
+    ("sim",),
+    ("monitor",),
+    "Whether the guard is in charge rather than the controller; with every odometry",
 )
 REFERENCE = TopicName(
     "reference", "nav_msgs/msg/Path", ("nmpc",), ("monitor",), "The helix ahead, in `map` [m]"
@@ -137,7 +154,7 @@ CLOCK = TopicName(
     "/clock",
     "rosgraph_msgs/msg/Clock",
     ("sim",),
-    ("monitor",),
+    ("nmpc", "monitor"),
     "Simulated time, zero at the start",
 )
 PARAMETER_EVENTS = TopicName(

@@ -122,6 +122,7 @@ def _if_installed(topic: TopicName) -> Topic | None:
 ODOM = Topic.of(contract.ODOM)
 ROTOR_STATES = Topic.of(contract.ROTOR_STATES)
 ROTOR_COMMAND = Topic.of(contract.ROTOR_COMMAND)
+GUARD = Topic.of(contract.GUARD)
 REFERENCE = Topic.of(contract.REFERENCE)
 PREDICTED_PATH = Topic.of(contract.PREDICTED_PATH)
 TIGHTENING = Topic.of(contract.TIGHTENING)
@@ -138,6 +139,7 @@ TOPICS = (
     ODOM,
     ROTOR_STATES,
     ROTOR_COMMAND,
+    GUARD,
     REFERENCE,
     PREDICTED_PATH,
     TIGHTENING,

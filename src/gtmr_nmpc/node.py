@@ -12,8 +12,6 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
-from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -36,16 +34,15 @@ from gtmr_msgs_py.messages import (
 )
 from gtmr_msgs_py.node import diagnostics
 from gtmr_msgs_py.node.diagnostics import Level
-from gtmr_msgs_py.node.parameters import ModelParameters
+from gtmr_msgs_py.node.parameters import FrameParameters, ModelParameters
 from gtmr_msgs_py.node.process import PROMPT, run
 from gtmr_msgs_py.node.suite_node import SuiteNode
 from gtmr_msgs_py.wire import stamps
-from gtmr_msgs_py.wire.message_error import MessageError
 from gtmr_msgs_py.wire.order import StampOrder
 from gtmr_nmpc.config import MODES, ControllerConfig, Mode
 from gtmr_nmpc.controller import Controller
-from gtmr_nmpc.performance import Performance, standing
-from gtmr_nmpc.schedule import Due, Schedule
+from gtmr_nmpc.online.performance import Performance, standing
+from gtmr_nmpc.online.schedule import Due, Schedule
 from gtmr_nmpc.solution import Solution
 
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -58,14 +55,12 @@ REFERENCE_STEP_S = 0.5
 """Between two poses of the reference [s]."""
 REFERENCE_POSES = 41
 """How many poses of the reference ahead: 20 s."""
-WARNING_PERIOD_S = 5.0
-"""Least time between two warnings about the same [s]."""
 
 Stamped = tuple[int, NDArray[np.float64]]
 """Stamp [ns] and what was measured then."""
 
 
-class NmpcParameters(ControllerConfig):
+class NmpcParameters(ControllerConfig, FrameParameters):
     """The parameters of the node: the controller's problem, and how it takes part in the graph."""
 
     mode: Mode = "robust"
@@ -120,7 +115,7 @@ class NmpcNode(SuiteNode):
         self._rotor_states: Stamped | None = None
         self._rotor_states_order = StampOrder()
         self._last_command = b""
-        self._unusable = 0
+        self._begins_again = False
         self._steps_reported = 0
         self._published_ns: dict[Publisher, int] = {}
 
@@ -170,36 +165,26 @@ class NmpcNode(SuiteNode):
         self._controller.prepare(stamps.seconds(self._schedule.next_ns))
 
     def _on_odometry(self, data: bytes) -> None:
-        read = self._read(odometry.unpack, data, self._odometry_order)
-        self._odometry = read or self._odometry
+        self._arrival = time.perf_counter()
+        stamp_ns, rigid_body = odometry.unpack(data, self._settings.value.frames)
+        if self._odometry_order.admit(stamp_ns):
+            self._begins_again = True
+        self._odometry = stamp_ns, rigid_body
         self._step_if_due()
 
     def _on_rotor_states(self, data: bytes) -> None:
-        n_rotors = self._settings.value.vehicle.n_rotors
-        unpack = partial(rotor_states.unpack, n_rotors=n_rotors)
-        read = self._read(unpack, data, self._rotor_states_order)
-        self._rotor_states = read or self._rotor_states
-        self._step_if_due()
-
-    def _read(
-        self, unpack: Callable[[bytes], Stamped], data: bytes, order: StampOrder
-    ) -> Stamped | None:
-        """Read a message; one that cannot be used, or comes late, must not displace another."""
         self._arrival = time.perf_counter()
-        try:
-            stamped = unpack(data)
-        except MessageError as error:
-            self._unusable += 1
-            self.get_logger().warning(f"ignored: {error}", throttle_duration_sec=WARNING_PERIOD_S)
-            return None
-        return None if order.is_late(stamped[0]) else stamped
+        stamp_ns, xi = rotor_states.unpack(data, self._settings.value.vehicle.n_rotors)
+        self._rotor_states_order.admit(stamp_ns)
+        self._rotor_states = stamp_ns, xi
+        self._step_if_due()
 
     def _step_if_due(self) -> None:
         state = self._take_state()
         if state is None or not self._recorders_listen():
             return
         stamp_ns, x = state
-        due = self._schedule.admit(stamp_ns)
+        due, self._begins_again = self._schedule.admit(stamp_ns, self._begins_again), False
         if due is Due.NOTHING:
             return
         if due is Due.REPEAT:
@@ -254,6 +239,7 @@ class NmpcNode(SuiteNode):
                 self._schedule.period_ns,
                 solution.x_plan[:, POSITION],
                 solution.x_plan[:, ATTITUDE],
+                self._settings.value.world_frame,
             )
         )
 
@@ -269,6 +255,7 @@ class NmpcNode(SuiteNode):
                     stamps.nanoseconds(REFERENCE_STEP_S),
                     ahead.position,
                     np.stack([level, level, ahead.yaw], axis=1),
+                    config.world_frame,
                 )
             )
         if self._is_time_for(self._markers, stamp_ns, MARKERS_PERIOD_S):
@@ -276,7 +263,7 @@ class NmpcNode(SuiteNode):
             margins_m = solution.alpha_p + solution.alpha_g
             shells = markers.tightened_shells(config.tower, margins_m, planned[:, 2], mode)
             plan = markers.plan(planned, mode)
-            self._markers.publish(markers.encode(stamp_ns, shells + plan))
+            self._markers.publish(markers.encode(stamp_ns, shells + plan, config.world_frame))
 
     def _is_time_for(self, publisher: Publisher, stamp_ns: int, period_s: float) -> bool:
         last_ns = self._published_ns.get(publisher)
@@ -310,8 +297,8 @@ class NmpcNode(SuiteNode):
                     "steps": performance.steps,
                     "deadline_misses": performance.deadline_misses,
                     "skipped_steps": self._schedule.skipped,
-                    "unusable_states": self._unusable,
-                    "late_states": self._odometry_order.late + self._rotor_states_order.late,
+                    **self.drops.figures(),
+                    "callback_errors": self.callback_errors,
                     "softened_in_window": performance.count("softened"),
                     "failed_in_window": performance.count("failed"),
                     **performance.percentiles_ms(),

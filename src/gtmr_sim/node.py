@@ -19,16 +19,17 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock as ClockMessage
+from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 from typing_extensions import Self
 
-from gtmr_model.dynamics import ROTORS
+from gtmr_model.dynamics import POSITION, ROTORS
 from gtmr_msgs_py import topics
 from gtmr_msgs_py.messages import markers, odometry, rotor_command, rotor_states, transforms
 from gtmr_msgs_py.messages.rotor_command import RotorPlan
 from gtmr_msgs_py.node import diagnostics
 from gtmr_msgs_py.node.diagnostics import Level
-from gtmr_msgs_py.node.parameters import ModelParameters
+from gtmr_msgs_py.node.parameters import FrameParameters, ModelParameters
 from gtmr_msgs_py.node.process import PROMPT, run
 from gtmr_msgs_py.node.suite_node import SuiteNode
 from gtmr_msgs_py.wire import stamps
@@ -51,7 +52,7 @@ WARNING_PERIOD_S = 5.0
 """Least time between two warnings about the same [s]."""
 
 
-class SimParameters(Scenario):
+class SimParameters(Scenario, FrameParameters):
     """The parameters of the node: the flight's scenario, and how time goes by."""
 
     sample_zeta: bool = False
@@ -139,11 +140,15 @@ class SimNode(SuiteNode):
         )
         self._commands = rotor_command.Reader(scenario.vehicle.n_rotors)
         self._published_at = 0.0
+        self._played_ns = 0
+        self._guard_told = ""
+        self._pace_held = scenario.real_time_factor
         self._reported = (time.monotonic(), 0)
 
         self._clock_time = topics.CLOCK.publisher(self)
         self._odometry = topics.ODOM.publisher(self)
         self._rotor_states = topics.ROTOR_STATES.publisher(self)
+        self._guard = topics.GUARD.publisher(self)
         self._markers = topics.MARKERS.publisher(self)
         self._transform = None if topics.TF is None else topics.TF.publisher(self)
         self._diagnostics = topics.DIAGNOSTICS.publisher(self)
@@ -185,27 +190,31 @@ class SimNode(SuiteNode):
 
     def _on_command(self, data: bytes) -> None:
         scenario = self._settings.value
-        try:
-            plan = self._commands.unpack(data)
-            if plan.step_ns != stamps.nanoseconds(scenario.sampling_time_s):
-                raise MessageError(
-                    f"rotor_command has points every {stamps.seconds(plan.step_ns)} s: expected "
-                    f"sampling_time_s = {scenario.sampling_time_s} s"
-                )
-        except MessageError as error:
-            self.get_logger().warning(f"ignored: {error}", throttle_duration_sec=WARNING_PERIOD_S)
-            return
+        plan = self._commands.unpack(data)
+        if plan.step_ns != stamps.nanoseconds(scenario.sampling_time_s):
+            raise MessageError(
+                f"rotor_command has points every {stamps.seconds(plan.step_ns)} s: expected "
+                f"sampling_time_s = {scenario.sampling_time_s} s"
+            )
         self._play(plan)
 
     def _play(self, plan: RotorPlan) -> None:
         first = not self._session.started
-        taken = self._session.command(plan.stamp_ns, plan.u)
-        if first and taken:
-            self._reported = (time.monotonic(), self._session.stamp_ns)
-            self.get_logger().info("flying")
-            self.tell_parameters()
-        if taken:
+        if self._session.command(plan.stamp_ns, plan.u):
+            self._played_ns = plan.stamp_ns
+            if first:
+                self._reported = (time.monotonic(), self._session.stamp_ns)
+                self.get_logger().info("flying")
+                self.tell_parameters()
             self._tick_if_unpaced()
+        elif first or plan.stamp_ns != self._played_ns:
+            # The same plan again answers a state that was published again.
+            now_ns = self._session.stamp_ns
+            raise MessageError(
+                f"rotor_command for {stamps.seconds(plan.stamp_ns)} s at "
+                f"{stamps.seconds(now_ns)} s",
+                "future" if plan.stamp_ns > now_ns else "late",
+            )
 
     def _tick_if_unpaced(self) -> None:
         """Without a pace, time goes on as soon as it may."""
@@ -217,18 +226,32 @@ class SimNode(SuiteNode):
             return
         self._session.advance()
         self._publish_state()
+        self._tell_guard()
         if self._session.over:
             self._end()
 
     def _publish_state(self) -> None:
         stamp_ns, x = self._session.stamp_ns, self._session.x
         # The controller waits for these two.
-        self._odometry.publish(odometry.pack(stamp_ns, x))
+        self._odometry.publish(odometry.pack(stamp_ns, x, self._settings.value.frames))
         self._rotor_states.publish(rotor_states.pack(stamp_ns, x[ROTORS]))
         self._clock_time.publish(ClockMessage(clock=stamps.encode(stamp_ns)))
         if self._transform is not None:
-            self._transform.publish(transforms.encode(stamp_ns, x))
+            self._transform.publish(transforms.encode(stamp_ns, x, self._settings.value.frames))
+        self._guard.publish(Bool(data=bool(self._session.guard_active)))
         self._published_at = time.monotonic()
+
+    def _tell_guard(self) -> None:
+        """Say at once who takes charge, and why."""
+        cause = self._session.guard_cause
+        if cause == self._guard_told:
+            return
+        self._guard_told = cause
+        if cause:
+            self.get_logger().warning(f"the guard is in charge: {cause}")
+        else:
+            self.get_logger().info("the controller is in charge again")
+        self._diagnose()
 
     def _resend(self) -> None:
         """Publish a state that nobody answers again: a message may be lost while nodes match."""
@@ -279,14 +302,19 @@ class SimNode(SuiteNode):
         if self._markers.get_subscription_count() == 0:
             return
         scenario = self._settings.value
-        scene = markers.tower(scenario.tower) + markers.vehicle(scenario.vehicle, self._session.x)
-        self._markers.publish(markers.encode(self._session.stamp_ns, scene))
+        x = self._session.x
+        scene = markers.tower(scenario.tower) + markers.vehicle(scenario.vehicle, x)
+        scene += markers.guard(x[POSITION], self._session.guard_cause)
+        self._markers.publish(markers.encode(self._session.stamp_ns, scene, scenario.world_frame))
 
     def _diagnose(self) -> None:
         scenario, session, now = self._settings.value, self._session, time.monotonic()
         then, then_ns = self._reported
-        self._reported = (now, session.stamp_ns)
-        held = stamps.seconds(session.stamp_ns - then_ns) / (now - then)
+        if now - then > 0.5 * DIAGNOSTICS_PERIOD_S:
+            # What is told out of turn says nothing of the pace.
+            self._reported = (now, session.stamp_ns)
+            self._pace_held = stamps.seconds(session.stamp_ns - then_ns) / (now - then)
+        held = self._pace_held
         level, message = Level.OK, "flying"
         if not session.started:
             level, message = Level.STALE, f"waiting for {self._missing()}"
@@ -294,6 +322,8 @@ class SimNode(SuiteNode):
             message = "paused"
         elif session.over:
             message = "the flight is over"
+        elif session.guard_active:
+            level, message = Level.WARN, f"the guard is in charge: {session.guard_cause}"
         elif session.command_age_s > 2.0 * scenario.sampling_time_s:
             level, message = Level.WARN, "no new commands: playing the rest of the last plan"
         elif 0.0 <= held < PACE_HELD * scenario.real_time_factor:
@@ -322,6 +352,11 @@ class SimNode(SuiteNode):
                     "plan_step": session.plan_step,
                     "missed_commands": session.missed_commands,
                     "gust": scenario.gust.kind,
+                    "guard": session.guard_active,
+                    "guard_cause": session.guard_cause,
+                    "guard_time_s": session.guard_time_s,
+                    **self.drops.figures(),
+                    "callback_errors": self.callback_errors,
                 },
                 hardware_id=scenario.vehicle.name,
             )

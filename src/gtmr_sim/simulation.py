@@ -10,10 +10,12 @@
 
 from __future__ import annotations
 
+from math import isfinite
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gtmr_guard import Guard
+from gtmr_guard import Guard, GuardConfig
 from gtmr_sim.gust import make_gust
 from gtmr_sim.plant import Plant
 from gtmr_sim.registry import EFFECTS
@@ -45,7 +47,11 @@ class Simulation:
         )
         self._guard = None
         if scenario.guard == "retreat":
-            self._guard = Guard(scenario.vehicle, scenario.tower)
+            # A controller that plans seldom may miss two plans as well.
+            age_s = max(GuardConfig().max_plan_age_s, 3.0 * plan_step_s)
+            self._guard = Guard(
+                scenario.vehicle, scenario.tower, GuardConfig(max_plan_age_s=age_s)
+            )
         self.reset()
 
     def reset(self) -> None:
@@ -127,7 +133,9 @@ class Simulation:
         """
         plan = np.asarray(u_plan, dtype=float)
         if self._guard is not None:
-            self._usable = plan.shape[1:] == self._no_plan.shape[1:] and np.isfinite(plan).all()
+            # The quickest way to see what is infinite or no number.
+            finite = isfinite(np.vdot(plan, plan))
+            self._usable = finite and plan.shape[1:] == self._no_plan.shape[1:]
         self._plan = plan if self._usable else self._no_plan
         self._plan_start = round(stamp_s / self.scenario.step_s)
 

@@ -233,7 +233,7 @@ def test_all_parameters_are_told_again_when_a_flight_begins(graph):
 def test_the_simulator_plays_the_rest_of_the_plan_when_commands_go_missing(graph):
     graph.listen([topics.ODOM, topics.ROTOR_STATES, topics.DIAGNOSTICS])
     command = topics.ROTOR_COMMAND.publisher(graph.node)
-    graph.start(SIM, gust__kind="none")
+    graph.start(SIM, gust__kind="none", guard="hold")
     graph.wait_until(lambda: bool(graph.received["odom"]))
     u = np.zeros((20, 6))
     u[10:] = 40.0
@@ -268,7 +268,7 @@ def test_odometry_that_cannot_be_used_is_passed_over(graph):
 
         graph.wait_until(condition_after_publishing)
 
-    publish_until(not_finite, lambda: figures(graph, "nmpc").get("unusable_states", 0) > 0)
+    publish_until(not_finite, lambda: figures(graph, "nmpc").get("dropped_undecodable", 0) > 0)
     assert not graph.received["rotor_command"]
     publish_until(START, lambda: bool(graph.received["rotor_command"]))
     assert "not finite" in node.output
@@ -318,7 +318,7 @@ def test_a_late_odometry_is_counted_and_the_controller_goes_on_as_if_it_had_not_
     for k in range(4):
         answered(k)
     publish_state(publishers, 10**10 + 3 * 25_000_000 - 1, START)
-    graph.wait_until(lambda: figures(graph, "nmpc").get("late_states") == 2)
+    graph.wait_until(lambda: figures(graph, "nmpc").get("dropped_late") == 2)
     answered(4)
     times = [rotor_command.decode(m, 6).stamp_ns for m in graph.received["rotor_command"]]
     assert times == sorted(times)

@@ -113,13 +113,54 @@ def test_a_comparison_is_shown_where_its_topics_are(launch):
 
 @pytest.mark.parametrize("name", LAUNCHED)
 def test_the_end_of_any_node_ends_the_launch_and_its_failure_is_one(launch, name):
-    _, nodes = launch(name)
+    _, nodes = launch(name, respawn="0")
     for node in nodes:
-        with pytest.raises(RuntimeError, match=f"{node.executable} ended with exit code 2"):
-            exit_of(node, 2)
+        for code in (1, 2, -9):
+            with pytest.raises(
+                RuntimeError, match=f"{node.executable}-1 ended with exit code {code}"
+            ):
+                exit_of(node, code)
         assert exit_of(node, -2, is_shutdown=True) == []
+        assert not node.respawn
     monitor = nodes[-1]
     assert exit_of(monitor, 0) == ["Shutdown"]
+
+
+@pytest.mark.parametrize("name", [*LAUNCHED, "replay"])
+def test_controller_and_monitor_start_again_so_many_times_and_no_more(launch, name):
+    _, started = launch(name, bag="bags/old", respawn="2")
+    again = [each for each in started if getattr(each, "executable", "") in ("nmpc", "monitor")]
+    assert len(again) >= 2
+    for node in again:
+        # launch itself starts it again, whatever follows from its end.
+        assert (node.respawn, node.respawn_max_retries) == (True, 2)
+        assert node.respawn_delay > 0.0
+        assert exit_of(node, -9, is_shutdown=True) == []
+        assert exit_of(node, 0) == ["Shutdown"]
+        with pytest.raises(RuntimeError, match="exit code 2"):
+            exit_of(node, 2)
+        assert [exit_of(node, code) for code in (1, -9)] == [["LogInfo"]] * 2
+        with pytest.raises(RuntimeError, match="exit code -9"):
+            exit_of(node, -9)
+    assert not any(each.respawn for each in started if getattr(each, "executable", "") == "sim")
+
+
+@pytest.mark.parametrize("name", LAUNCHED)
+def test_managed_nodes_are_brought_up_whenever_they_start(launch, name):
+    _, entities = launch(name, managed="true", namespace="/hex")
+    nodes = [each for each in entities if each.kind == "Node"]
+    watched = {id(each.args[0].target_action): each.args[0] for each in entities
+               if each.kind == "RegisterEventHandler"}  # fmt: skip
+    assert [node.executable for node in nodes] == LAUNCHED[name]
+    for node in nodes:
+        assert node.arguments == ["--managed"]
+        (process,) = watched[id(node)].on_start(None, None)
+        full_name = f"/{node.namespace}/{node.executable}"
+        assert process.cmd == ["python3", "-m", "gtmr_msgs_py.start.bring_up", full_name]
+        process.executable = "bring_up"
+        assert exit_of(process, 0) == []
+        with pytest.raises(RuntimeError, match="bring_up-1 ended with exit code 1"):
+            exit_of(process, 1)
 
 
 @pytest.mark.parametrize("name", [*LAUNCHED, "replay"])

@@ -28,6 +28,7 @@ from trajectory_msgs.msg import JointTrajectory
 from gtmr_model import CHANNELS, Helix, Tower
 from gtmr_model.dynamics import ATTITUDE, rotation
 from gtmr_msgs_py import topics
+from gtmr_msgs_py.contract import Frames
 from gtmr_msgs_py.messages import (
     clearance,
     odometry,
@@ -300,7 +301,7 @@ def test_packed_messages_are_read_by_a_strict_reader_too():
 
 def test_what_others_send_is_read_whatever_its_shape():
     estimated = odometry_message(5, np.arange(12.0) / 10.0)
-    estimated.header.frame_id = "odom"
+    estimated.header.frame_id, theirs = "odom", Frames("odom")
     estimated.pose.covariance[0] = 0.25
     speeds = rotor_states_message(5, [1.0, 2.0, 3.0])
     speeds.name.reverse()
@@ -308,7 +309,7 @@ def test_what_others_send_is_read_whatever_its_shape():
     plan.points[2].effort = array("d", [1.0])
     reader = rotor_command.Reader(3)
     for _ in range(2):
-        assert_same(odometry.unpack(wire(estimated)), odometry.decode(estimated))
+        assert_same(odometry.unpack(wire(estimated), theirs), odometry.decode(estimated))
         assert_same(rotor_states.unpack(wire(speeds), 3), rotor_states.decode(speeds, 3))
         assert_same(vars(reader.unpack(wire(plan))), vars(rotor_command.decode(plan, 3)))
 

@@ -61,6 +61,7 @@ def everything():
         *markers.tightened_shells(tower, MARGINS, HEIGHTS, "robust"),
         *markers.plan(np.zeros((21, 3)), "robust"),
         *markers.vehicle(vehicle, STATE),
+        *markers.guard(STATE[:3], "plan ended"),
     ]
 
 
@@ -114,6 +115,16 @@ def test_a_mode_has_the_colour_that_it_has_in_the_report(mode):
     assert len(line.points) == 21
     parts = line.color.r, line.color.g, line.color.b
     assert "#" + "".join(f"{round(255 * part):02X}" for part in parts) == look.MODE_COLOURS[mode]
+
+
+def test_the_guard_is_named_above_the_vehicle_while_it_is_in_charge():
+    (text,), (gone,) = markers.guard(STATE[:3], "plan ended"), markers.guard(STATE[:3], "")
+    assert (text.text, text.action, gone.action) == (
+        "guard: plan ended",
+        Marker.ADD,
+        Marker.DELETE,
+    )
+    assert text.pose.position.z > STATE[2]
 
 
 def test_every_namespace_that_is_drawn_is_listed():

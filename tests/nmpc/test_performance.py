@@ -15,7 +15,7 @@ import pytest
 
 from gtmr_model import CHANNELS, Tower, Vehicle
 from gtmr_nmpc import Controller
-from gtmr_nmpc.performance import Performance, standing
+from gtmr_nmpc.online.performance import Performance, standing
 from gtmr_nmpc.solution import Timing
 from gtmr_sim import Scenario
 

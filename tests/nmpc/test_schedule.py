@@ -8,12 +8,16 @@
 
 """Controller steps come T_s apart, by the stamps of the odometry."""
 
+from contextlib import suppress
+
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gtmr_msgs_py.wire.order import RESET_NS
-from gtmr_nmpc.schedule import Due, Schedule
+from gtmr_msgs_py.wire.message_error import MessageError
+from gtmr_msgs_py.wire.order import StampOrder
+from gtmr_nmpc.online.schedule import Due, Schedule
 
 PERIOD_NS = 25_000_000
 TICK_NS = 5_000_000
@@ -54,28 +58,23 @@ def test_an_odometry_that_comes_again_is_answered_again(stamp_ns):
     assert schedule.time_ns == stamp_ns
 
 
-def test_time_going_back_starts_anew():
+def test_a_world_that_begins_again_starts_anew():
     schedule = Schedule(PERIOD_NS)
-    due = admitted(schedule, [0, PERIOD_NS, 2 * PERIOD_NS, 0, PERIOD_NS])
+    due = admitted(schedule, [0, PERIOD_NS, 2 * PERIOD_NS])
+    due += [schedule.admit(0, begins_again=True), schedule.admit(PERIOD_NS)]
     assert due == [Due.RESTART, Due.STEP, Due.STEP, Due.RESTART, Due.STEP]
+    assert schedule.admit(0, begins_again=True) is Due.RESTART
 
 
-@pytest.mark.parametrize("behind_ns", [1, TICK_NS, PERIOD_NS, RESET_NS])
-def test_an_odometry_that_comes_late_neither_restarts_nor_is_answered(behind_ns):
-    schedule, newest_ns = Schedule(PERIOD_NS), 80 * PERIOD_NS
-    assert admitted(schedule, [newest_ns, newest_ns - behind_ns]) == [Due.RESTART, Due.NOTHING]
-    assert schedule.next_ns == newest_ns + PERIOD_NS
-    assert schedule.admit(newest_ns + PERIOD_NS) is Due.STEP
-
-
-def test_a_jump_back_further_than_a_message_can_be_late_starts_anew():
-    due = admitted(Schedule(PERIOD_NS), [80 * PERIOD_NS, 80 * PERIOD_NS - RESET_NS - 1])
-    assert due == [Due.RESTART, Due.RESTART]
-
-
-def test_a_reset_just_after_the_start_starts_anew():
-    assert admitted(Schedule(PERIOD_NS), [0, TICK_NS, 0]) == [
-        Due.RESTART,
-        Due.NOTHING,
-        Due.RESTART,
-    ]
+def test_reordered_odometry_starts_the_controller_once():
+    # As a node does: what comes late is left out before the schedule is asked.
+    rng, starts = np.random.default_rng(1), []
+    for _ in range(64):
+        came = np.argsort(np.arange(3000) + rng.uniform(0.0, 40.0) * rng.random(3000))
+        order, schedule, due = StampOrder(), Schedule(PERIOD_NS), []
+        for k in came:
+            with suppress(MessageError):
+                begins_again = order.admit(int(k) * TICK_NS)
+                due.append(schedule.admit(int(k) * TICK_NS, begins_again))
+        starts.append(due.count(Due.RESTART))
+    assert starts == [1] * 64

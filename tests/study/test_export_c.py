@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The exported C controller: pedantic C99, and the same commands as from Python."""
+"""The exported C controller and guard: pedantic C99, and the same commands as from Python."""
 
 import resource
 import shutil
@@ -21,6 +21,7 @@ from gtmr_study.export.project import export_c
 
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
 SANITIZED = ["-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+FLIGHTS = ("flight.csv", "guard.csv")
 COMPILER = shutil.which("cc")
 STACK_BYTES = 64 * 1024
 """What gtmr.h says is enough; here the program's own stack counts as well."""
@@ -41,9 +42,13 @@ def build(folder, *flags):
 
 
 def assert_repeats_the_flight(folder, program):
-    run = subprocess.run([program, folder / "flight.csv"], capture_output=True, text=True)
+    run = subprocess.run(
+        [program, folder / "flight.csv", folder / "guard.csv"], capture_output=True, text=True
+    )
     assert run.returncode == 0, run.stdout + run.stderr
-    assert run.stdout.startswith("400 steps")
+    controller, guard = run.stdout.splitlines()
+    assert controller.startswith("400 steps")
+    assert guard.startswith("800 steps of the guard")
 
 
 @pytest.mark.parametrize(
@@ -96,7 +101,7 @@ def test_exported_controller_needs_no_more_stack_than_stated_and_exports_prefixe
     ours = {line.split()[0] for line in names.splitlines() if "@" not in line}
     assert {name for name in ours if not name.startswith(("gtmr_", "_", "main"))} <= {"data_start"}
     run = subprocess.run(
-        [program, tmp_path / "flight.csv"],
+        [program, *(tmp_path / name for name in FLIGHTS)],
         capture_output=True,
         env={},
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_STACK, (STACK_BYTES,) * 2),
@@ -104,13 +109,17 @@ def test_exported_controller_needs_no_more_stack_than_stated_and_exports_prefixe
     assert run.returncode == 0
 
 
-def test_replay_fails_when_a_command_differs(tmp_path):
+def test_replay_fails_when_a_command_of_controller_or_guard_differs(tmp_path):
     export_c(ControllerConfig(), "robust", tmp_path)
-    flight = tmp_path / "flight.csv"
-    rows = flight.read_text().splitlines()
-    head, _, last = rows[100].rpartition(",")
-    rows[100] = f"{head},{float(last) + 1e-3!r}"
-    flight.write_text("\n".join(rows) + "\n")
     program = build(tmp_path, "-O0")
-    run = subprocess.run([program, flight], capture_output=True, text=True)
-    assert run.returncode == 1
+    flights = [tmp_path / name for name in FLIGHTS]
+    for flight in flights:
+        whole = flight.read_text()
+        rows = whole.splitlines()
+        head, _, last = rows[100].rpartition(",")
+        rows[100] = f"{head},{float(last) + 1e-3!r}"
+        flight.write_text("\n".join(rows) + "\n")
+        run = subprocess.run([program, *flights], capture_output=True, text=True)
+        assert run.returncode == 1, flight.name
+        flight.write_text(whole)
+    assert subprocess.run([program, *flights], capture_output=True).returncode == 0

@@ -18,7 +18,15 @@ import pytest
 ROOT = Path(__file__).parents[2]
 STUBS = {
     "launch": ["LaunchContext", "LaunchDescription"],
-    "launch.actions": ["DeclareLaunchArgument", "ExecuteProcess", "OpaqueFunction", "Shutdown"],
+    "launch.actions": [
+        "DeclareLaunchArgument",
+        "ExecuteProcess",
+        "LogInfo",
+        "OpaqueFunction",
+        "RegisterEventHandler",
+        "Shutdown",
+    ],
+    "launch.event_handlers": ["OnProcessStart"],
     "launch.events": [],
     "launch.events.process": ["ProcessExited"],
     "launch_ros": [],
@@ -68,5 +76,5 @@ def parameters(node):
 
 def exit_of(node, returncode, is_shutdown=False):
     """What follows when its process has ended."""
-    event = SimpleNamespace(returncode=returncode, process_name=node.executable)
+    event = SimpleNamespace(returncode=returncode, process_name=f"{node.executable}-1")
     return [each.kind for each in node.on_exit(event, SimpleNamespace(is_shutdown=is_shutdown))]

@@ -60,6 +60,14 @@ static void product(double A[3][3], double B[3][3], int transposed, double C[3][
                                  : A[i][0] * B[0][j] + A[i][1] * B[1][j] + A[i][2] * B[2][j];
 }
 
+/* R' a. */
+static void in_body(double R[3][3], const double *a, double *b)
+{
+    int i;
+    for (i = 0; i < 3; i++)
+        b[i] = R[0][i] * a[0] + R[1][i] * a[1] + R[2][i] * a[2];
+}
+
 /* Rz(yaw) Ry(pitch) Rx(roll), body to world. */
 static void rotation(const double *eta, double R[3][3])
 {
@@ -243,7 +251,7 @@ static void decide(gtmr_guard *g, double dt_s, const double *u_due, double overd
     else if (speed > k->max_speed_m_s || rate > k->max_rate_rad_s)
         cause = GTMR_GUARD_SPEED;
     else if (g->zone_s > k->zone_time_s ||
-             (v_r < 0.0 && clearance < v_r * v_r / (2.0 * k->brake_m_s2)))
+             (v_r < 0.0 && clearance < k->zone_m + v_r * v_r / (2.0 * k->brake_m_s2)))
         cause = GTMR_GUARD_ZONE;
 
     if (cause != GTMR_GUARD_NONE) {
@@ -273,9 +281,9 @@ static void allocate(const gtmr_guard_parameters *k, const double *wrench, int f
         more[i] = 0.0;
         for (j = from; j < end; j++)
             more[i] += k->inverse[i][j] * wrench[j];
-        if (squared[i] + share * more[i] > high)
+        if (more[i] > 0.0 && squared[i] + share * more[i] > high)
             share = fmax(0.0, (high - squared[i]) / more[i]);
-        else if (squared[i] + share * more[i] < low)
+        else if (more[i] < 0.0 && squared[i] + share * more[i] < low)
             share = fmax(0.0, (low - squared[i]) / more[i]);
     }
     for (i = 0; i < ROTORS; i++)
@@ -303,7 +311,7 @@ static void wanted_force(gtmr_guard *g, double *force)
     for (i = 0; i < 3; i++)
         a[i] = k->velocity_gain * (v_wanted[i] - g->v[i]);
     limit(a, 2, k->max_acceleration_m_s2);
-    a[2] = between(a[2], -k->max_acceleration_m_s2, k->max_acceleration_m_s2);
+    a[2] = between(a[2], -k->max_acceleration_m_s2, GRAVITY_M_S2);
     for (i = 0; i < 3; i++)
         force[i] = k->mass_kg * (a[i] + (i == 2 ? GRAVITY_M_S2 : 0.0) - g->d[i]);
     force[2] = fmax(force[2], MIN_LIFT * k->mass_kg * GRAVITY_M_S2);
@@ -312,20 +320,23 @@ static void wanted_force(gtmr_guard *g, double *force)
 static void retreat(gtmr_guard *g, double *u)
 {
     const gtmr_guard_parameters *k = &g->is;
-    double force[3], wrench[6], axis[3] = {1.0, 0.0, 0.0}, momentum[3], gyro[3];
-    double squared[ROTORS], thrust, sine, turn;
+    double force[3], outward[3], wrench[6], aim[3], axis[3] = {1.0, 0.0, 0.0};
+    double momentum[3], gyro[3], squared[ROTORS], upright, sine, turn, thrust;
     int i;
     wanted_force(g, force);
-    for (i = 0; i < 3; i++)
-        wrench[i] = g->R[0][i] * force[0] + g->R[1][i] * force[1] + g->R[2][i] * force[2];
+    radial(g, outward);
+    in_body(g->R, force, wrench);
+    upright = wrench[2] / sqrt(dot(wrench, wrench));
 
-    /* Turn the thrust axis, body e3, into the wanted force; heading is nobody's concern. */
-    sine = sqrt(wrench[0] * wrench[0] + wrench[1] * wrench[1]);
+    /* Turn the thrust axis, body e3, into the wanted force; heading is nobody's concern. Upside
+     * down, turn by way of outward, so that thrust does not sweep across the tower. */
+    in_body(g->R, upright < -UPSIDE_DOWN ? outward : force, aim);
+    sine = sqrt(aim[0] * aim[0] + aim[1] * aim[1]);
     if (sine > 1e-9) {
-        axis[0] = -wrench[1] / sine;
-        axis[1] = wrench[0] / sine;
+        axis[0] = -aim[1] / sine;
+        axis[1] = aim[0] / sine;
     }
-    turn = fmin(k->attitude_gain * atan2(sine, wrench[2]), MAX_TURN_RAD_S);
+    turn = fmin(k->attitude_gain * atan2(sine, aim[2]), MAX_TURN_RAD_S);
     for (i = 0; i < 3; i++)
         momentum[i] = k->inertia_kg_m2[i] * g->omega[i];
     cross(g->omega, momentum, gyro);
@@ -339,7 +350,7 @@ static void retreat(gtmr_guard *g, double *u)
     for (i = 0; i < ROTORS; i++)
         squared[i] = k->inverse[i][2] * thrust;
     allocate(k, wrench, 3, 6, squared);
-    if (wrench[2] > UPSIDE_DOWN * sqrt(dot(wrench, wrench)))
+    if (upright > UPSIDE_DOWN)
         allocate(k, wrench, 0, 2, squared);
     for (i = 0; i < ROTORS; i++) {
         double low = k->min_rotor_speed_hz, high = k->max_rotor_speed_hz;

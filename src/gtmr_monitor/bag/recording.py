@@ -23,7 +23,7 @@ from gtmr_monitor.bag.format import BagError
 from gtmr_monitor.bag.reader import BagMessage
 from gtmr_monitor.coverage import Coverage
 from gtmr_msgs_py.wire import stamps
-from gtmr_msgs_py.wire.order import StampOrder, is_reset
+from gtmr_msgs_py.wire.order import Place, is_reset, places
 
 # Indexed by the type of a rcl_interfaces/msg/ParameterValue.
 _VALUE_FIELDS = (
@@ -147,7 +147,8 @@ def without_strays(received: list[Recorded]) -> list[Recorded]:
     """Leave out single messages whose stamps are far from those of both their neighbours.
 
     These go on from one to the other: it is neither a reset nor a gap. At the end it is one that
-    falls back, or runs ahead by far more time than went by.
+    falls back, or runs ahead by far more time than went by. Of several in a row, those are left
+    out that do not last as long as a node in flight asks for, see `StampOrder`.
     """
 
     def is_stray(k: int) -> bool:
@@ -166,7 +167,10 @@ def without_strays(received: list[Recorded]) -> list[Recorded]:
         ahead, back = is_reset(after_ns, now_ns), is_reset(now_ns, before.stamp_ns)
         return go_on and (ahead or back)
 
-    return [item for k, item in enumerate(received) if not is_stray(k)]
+    left = [item for k, item in enumerate(received) if not is_stray(k)]
+    found = places([item.stamp_ns for item in left])
+    strays = (Place.PAST, Place.FUTURE)
+    return [item for item, place in zip(left, found, strict=True) if place not in strays]
 
 
 def last_flight(received: list[Recorded]) -> tuple[list[Recorded], list[Recorded], int]:
@@ -174,13 +178,11 @@ def last_flight(received: list[Recorded]) -> tuple[list[Recorded], list[Recorded
 
     Returned too: what came before the reset, as it came, and how many of those flown were late.
     """
-    order, begin = StampOrder(), 0
-    for k, item in enumerate(received):
-        if order.resets(item.stamp_ns):
-            order, begin = StampOrder(), k
-        order.is_late(item.stamp_ns)
+    found = places([item.stamp_ns for item in received])
+    begin = max((k for k, place in enumerate(found) if place is Place.RESET), default=0)
     first = {item.stamp_ns: item for item in reversed(received[begin:])}
-    return [first[stamp_ns] for stamp_ns in sorted(first)], received[:begin], order.late
+    late = found[begin:].count(Place.LATE)
+    return [first[stamp_ns] for stamp_ns in sorted(first)], received[:begin], late
 
 
 def changes(events: Iterable[BagMessage], dropped: Counter[str]) -> list[Change]:

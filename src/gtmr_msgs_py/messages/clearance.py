@@ -21,7 +21,7 @@ DRAWN_CONE_RAD = 0.1
 tower [rad]."""
 
 
-def encode(stamp_ns: int, clearance_m: float) -> Range:
+def encode(stamp_ns: int, clearance_m: float, body_frame: str = BASE_LINK) -> Range:
     """Make the range message of a clearance d_T [m], negative inside the tower.
 
     The stamp [ns] is that of the odometry it was computed from. The range has single precision,
@@ -35,7 +35,7 @@ def encode(stamp_ns: int, clearance_m: float) -> Range:
         range=float(clearance_m),
     )
     msg.header.stamp = stamps.encode(stamp_ns)
-    msg.header.frame_id = BASE_LINK
+    msg.header.frame_id = body_frame
     return msg
 
 

@@ -28,6 +28,8 @@ DRAWN_PROPELLER_RADIUS_M = 0.13
 """Radius of a drawn propeller disc [m]."""
 DRAWN_THRUST_M_PER_N = 0.06
 """Length of a thrust arrow per thrust [m/N]; at hover it is about a propeller's diameter."""
+DRAWN_TEXT_M = 0.2
+"""Height of letters, and of the text above the vehicle [m]."""
 DRAWN_STAGE_HEIGHT_M = 0.03
 """Height of the collar that stands for one stage of the horizon [m]."""
 
@@ -46,6 +48,7 @@ CONCRETE = Color(0.75, 0.75, 0.72)
 FORBIDDEN = Color(0.75, 0.1, 0.2, 0.15)
 BODY = Color(0.15, 0.15, 0.18)
 THRUST = Color(0.902, 0.624, 0.0)
+ALARM = Color(0.9, 0.1, 0.1)
 CLOCKWISE = Color(0.0, 0.62, 0.451, 0.8)
 COUNTER_CLOCKWISE = Color(0.8, 0.475, 0.655, 0.8)
 MODE_COLORS = {"nominal": Color(0.835, 0.369, 0.0), "robust": Color(0.0, 0.447, 0.698)}
@@ -61,15 +64,16 @@ NAMESPACES = (
     "arms",
     "propellers",
     "thrust",
+    "guard",
 )
 """Every namespace that the nodes publish; what a view shows or hides by itself."""
 
 
-def encode(stamp_ns: int, markers: Iterable[Marker]) -> MarkerArray:
+def encode(stamp_ns: int, markers: Iterable[Marker], world_frame: str = MAP) -> MarkerArray:
     """Put markers, of the world frame, into one message with a stamp [ns]."""
     stamped = list(markers)
     for marker in stamped:
-        marker.header.frame_id = MAP
+        marker.header.frame_id = world_frame
         marker.header.stamp = stamps.encode(stamp_ns)
     return MarkerArray(markers=stamped)
 
@@ -147,6 +151,19 @@ def vehicle(vehicle: Vehicle, x: ArrayLike) -> list[Marker]:
             arrow.points = [_point(hub), _point(tip)]
             thrusts.append(arrow)
     return [body, arms, *discs, *thrusts]
+
+
+def guard(position: ArrayLike, cause: str) -> list[Marker]:
+    """Write above the vehicle, at its position in the world frame [m], why the guard is in charge.
+
+    Without a cause it is not, and what was written is taken away.
+    """
+    text = _marker("guard", 0, Marker.TEXT_VIEW_FACING, ALARM, (0.0, 0.0, DRAWN_TEXT_M))
+    text.action = Marker.ADD if cause else Marker.DELETE
+    text.text = f"guard: {cause}"
+    text.pose.position = _point(np.asarray(position, dtype=float))
+    text.pose.position.z += DRAWN_TEXT_M
+    return [text]
 
 
 def _faded(color: Color, opacity: float) -> Color:

@@ -12,19 +12,19 @@ The state has its velocity in the world frame, the message in the child frame: i
 and nowhere else.
 """
 
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 from geometry_msgs.msg import Quaternion
 from nav_msgs.msg import Odometry
 from numpy.typing import ArrayLike, NDArray
-from rclpy.serialization import deserialize_message
 
 from gtmr_model.dynamics import ATTITUDE, POSITION, RATE, VELOCITY
-from gtmr_msgs_py.contract import BASE_LINK, MAP
+from gtmr_msgs_py.contract import Frames
 from gtmr_msgs_py.wire import attitude, stamps
 from gtmr_msgs_py.wire.fixed_cdr import FixedCdr
 from gtmr_msgs_py.wire.message_error import MessageError
+from gtmr_msgs_py.wire.reading import read
 
 POSE = slice(0, 7)
 """Position and quaternion among the numbers of the message."""
@@ -32,13 +32,15 @@ TWIST = slice(43, 49)
 """Linear and angular velocity among them."""
 NUMBERS = 85
 """How many there are, with two covariances of 36."""
+OURS = Frames()
+"""`map` and `base_link`."""
 
 
 def decode(msg: Odometry) -> tuple[int, NDArray[np.float64]]:
     """Read when a state was measured [ns], and the state [p, eta, v, omega], shape (12,).
 
-    Units and frames are those of `pack`; yaw is within -pi to pi. Raises MessageError if a number
-    is not finite or the orientation is no unit quaternion.
+    Units and frames are those of `pack`, whatever their names; yaw is within -pi to pi. Raises
+    MessageError if a number is not finite or the orientation is no unit quaternion.
     """
     pose, twist = msg.pose.pose, msg.twist.twist
     x = _state(
@@ -50,7 +52,7 @@ def decode(msg: Odometry) -> tuple[int, NDArray[np.float64]]:
     return stamps.decode(msg.header.stamp), x
 
 
-def pack(stamp_ns: int, x: ArrayLike) -> bytes:
+def pack(stamp_ns: int, x: ArrayLike, frames: Frames = OURS) -> bytes:
     """Make CDR bytes of a nav_msgs/Odometry, of a state that was measured at a stamp [ns].
 
     State [p, eta, v, omega, ...]: m, rad, m/s, rad/s; p and v in world ENU, omega in body FLU.
@@ -61,17 +63,26 @@ def pack(stamp_ns: int, x: ArrayLike) -> bytes:
     numbers = np.zeros(NUMBERS)
     numbers[POSE] = *state[POSITION], q.x, q.y, q.z, q.w
     numbers[TWIST] = *(attitude.rotation(q).T @ state[VELOCITY]), *state[RATE]
-    return _layout().pack(stamp_ns, numbers)
+    return _layout(frames).pack(stamp_ns, numbers)
 
 
-def unpack(data: bytes) -> tuple[int, NDArray[np.float64]]:
+def unpack(data: bytes, frames: Frames = OURS) -> tuple[int, NDArray[np.float64]]:
     """Read the state as `decode` does, out of CDR bytes from anywhere.
 
-    Those of `pack` take half the time.
+    Those of `pack` take half the time. Raises MessageError for what `decode` refuses, for what is
+    no odometry, and for one of other frames.
     """
-    unpacked = _layout().unpack(data)
+    unpacked = _layout(frames).unpack(data)
     if unpacked is None:
-        return decode(deserialize_message(data, Odometry))
+        msg = read(data, Odometry)
+        theirs = Frames(msg.header.frame_id, msg.child_frame_id)
+        if theirs != frames:
+            raise MessageError(
+                f"odometry of {theirs.body!r} in {theirs.world!r}: expected {frames.body!r} in "
+                f"{frames.world!r}",
+                "frame",
+            )
+        return decode(msg)
     stamp_ns, numbers = unpacked
     p_x, p_y, p_z, q_x, q_y, q_z, q_w = numbers[POSE].tolist()
     twist = numbers[TWIST]
@@ -94,9 +105,9 @@ def _state(
     return x
 
 
-@cache
-def _layout() -> FixedCdr:
-    layout = FixedCdr(MAP)
-    layout.string(BASE_LINK)
+@lru_cache(maxsize=8)
+def _layout(frames: Frames) -> FixedCdr:
+    layout = FixedCdr(frames.world)
+    layout.string(frames.body)
     layout.float64(NUMBERS)
     return layout

@@ -17,20 +17,22 @@ from gtmr_msgs_py.contract import MAP
 from gtmr_msgs_py.wire import attitude, stamps
 
 
-def encode(stamp_ns: int, step_ns: int, positions: ArrayLike, rpy: ArrayLike) -> Path:
+def encode(
+    stamp_ns: int, step_ns: int, positions: ArrayLike, rpy: ArrayLike, world_frame: str = MAP
+) -> Path:
     """Make a path of poses that follow each other at an even pace.
 
     The first is due at the stamp [ns], the next one step [ns] later; positions are in the world
     frame [m] and rpy are roll, pitch, yaw [rad], both of shape (n, 3).
     """
     msg = Path()
-    msg.header.frame_id = MAP
+    msg.header.frame_id = world_frame
     msg.header.stamp = stamps.encode(stamp_ns)
     poses = []
     rows = zip(np.asarray(positions).tolist(), np.asarray(rpy).tolist(), strict=True)
     for i, ((x, y, z), angles) in enumerate(rows):
         pose = PoseStamped()
-        pose.header.frame_id = MAP
+        pose.header.frame_id = world_frame
         pose.header.stamp = stamps.encode(stamp_ns + i * step_ns)
         point = pose.pose.position
         point.x, point.y, point.z = float(x), float(y), float(z)

@@ -13,13 +13,13 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory
 
 from gtmr_msgs_py.contract import RAD_PER_TURN, rotor_names
 from gtmr_msgs_py.wire import stamps
 from gtmr_msgs_py.wire.fixed_cdr import FixedCdr
 from gtmr_msgs_py.wire.message_error import MessageError
+from gtmr_msgs_py.wire.reading import read
 
 
 @dataclass(frozen=True)
@@ -45,14 +45,16 @@ def decode(msg: JointTrajectory, n_rotors: int) -> RotorPlan:
     expected = rotor_names(n_rotors)
     if list(msg.joint_names) != expected:
         raise MessageError(
-            f"rotor_command is for {list(msg.joint_names)}: expected {', '.join(expected)}"
+            f"rotor_command is for {list(msg.joint_names)}: expected {', '.join(expected)}",
+            "vehicle",
         )
     if len(msg.points) < 2:
         raise MessageError(f"rotor_command has {len(msg.points)} points: expected at least 2")
     sizes = {len(p.velocities) for p in msg.points} | {len(p.accelerations) for p in msg.points}
     if sizes != {n_rotors}:
         raise MessageError(
-            f"rotor_command has points of {sorted(sizes)} numbers: expected {n_rotors}"
+            f"rotor_command has points of {sorted(sizes)} numbers: expected {n_rotors}",
+            "vehicle",
         )
     times_ns = [stamps.decode(point.time_from_start) for point in msg.points]
     step_ns = times_ns[1]
@@ -84,11 +86,11 @@ class Reader:
     def unpack(self, data: bytes) -> RotorPlan:
         """Read the plan as `decode` does, out of CDR bytes from anywhere.
 
-        Raises MessageError for what `decode` refuses.
+        Raises MessageError for what `decode` refuses, and for what is no such message.
         """
         unpacked = None if self._layout is None else self._layout.unpack(data)
         if unpacked is None:
-            plan = decode(deserialize_message(data, JointTrajectory), self._n_rotors)
+            plan = decode(read(data, JointTrajectory), self._n_rotors)
             self._step_ns = plan.step_ns
             self._layout = _layout(plan.step_ns, *plan.xi.shape)
             return plan

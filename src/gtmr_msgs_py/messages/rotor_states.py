@@ -12,13 +12,13 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from gtmr_msgs_py.contract import RAD_PER_TURN, rotor_names
 from gtmr_msgs_py.wire import stamps
 from gtmr_msgs_py.wire.fixed_cdr import FixedCdr
 from gtmr_msgs_py.wire.message_error import MessageError
+from gtmr_msgs_py.wire.reading import read
 
 
 def decode(msg: JointState, n_rotors: int) -> tuple[int, NDArray[np.float64]]:
@@ -32,7 +32,8 @@ def decode(msg: JointState, n_rotors: int) -> tuple[int, NDArray[np.float64]]:
     expected = rotor_names(n_rotors)
     if len(xi) != n_rotors or (names and sorted(names) != sorted(expected)):
         raise MessageError(
-            f"rotor_states has {len(xi)} speeds for {names}: expected {', '.join(expected)}"
+            f"rotor_states has {len(xi)} speeds for {names}: expected {', '.join(expected)}",
+            "vehicle",
         )
     if names and names != expected:
         xi = xi[[names.index(name) for name in expected]]
@@ -49,10 +50,13 @@ def pack(stamp_ns: int, xi: ArrayLike) -> bytes:
 
 
 def unpack(data: bytes, n_rotors: int) -> tuple[int, NDArray[np.float64]]:
-    """Read rotor speeds as `decode` does, out of CDR bytes from anywhere; fast those of `pack`."""
+    """Read rotor speeds as `decode` does, out of CDR bytes from anywhere; fast those of `pack`.
+
+    Raises MessageError for what `decode` refuses, and for what is no such message.
+    """
     unpacked = _layout(n_rotors).unpack(data)
     if unpacked is None:
-        return decode(deserialize_message(data, JointState), n_rotors)
+        return decode(read(data, JointState), n_rotors)
     stamp_ns, speeds = unpacked
     return stamp_ns, _finite(speeds / RAD_PER_TURN)
 

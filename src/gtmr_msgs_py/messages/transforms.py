@@ -19,26 +19,29 @@ from geometry_msgs.msg import TransformStamped, Vector3
 from numpy.typing import ArrayLike
 
 from gtmr_model.dynamics import ATTITUDE, POSITION
-from gtmr_msgs_py.contract import BASE_LINK, MAP, TF
+from gtmr_msgs_py.contract import TF, Frames
 from gtmr_msgs_py.topics import message_class
 from gtmr_msgs_py.wire import attitude, stamps
 
+OURS = Frames()
+"""`map` and `base_link`."""
 
-def encode(stamp_ns: int, x: ArrayLike) -> Any:
+
+def encode(stamp_ns: int, x: ArrayLike, frames: Frames = OURS) -> Any:
     """Make the tf2_msgs/TFMessage of a state as `transform` does; this needs ``tf2_msgs``."""
-    return message_class(TF.type_name)(transforms=[transform(stamp_ns, x)])
+    return message_class(TF.type_name)(transforms=[transform(stamp_ns, x, frames)])
 
 
-def transform(stamp_ns: int, x: ArrayLike) -> TransformStamped:
-    """Make the transform of a state: the pose of `base_link` (FLU) in `map` (ENU).
+def transform(stamp_ns: int, x: ArrayLike, frames: Frames = OURS) -> TransformStamped:
+    """Make the transform of a state: the pose of the body frame (FLU) in the world frame (ENU).
 
     The state [p, eta, ...] was measured at the stamp [ns]: world ENU [m], [rad].
     """
     state = np.asarray(x, dtype=float)
     px, py, pz = (float(value) for value in state[POSITION])
-    msg = TransformStamped(child_frame_id=BASE_LINK)
+    msg = TransformStamped(child_frame_id=frames.body)
     msg.header.stamp = stamps.encode(stamp_ns)
-    msg.header.frame_id = MAP
+    msg.header.frame_id = frames.world
     msg.transform.translation = Vector3(x=px, y=py, z=pz)
     msg.transform.rotation = attitude.encode(state[ATTITUDE])
     return msg

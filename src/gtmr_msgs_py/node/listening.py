@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from inspect import signature
 from typing import TYPE_CHECKING
 
 from nav_msgs.msg import Odometry
@@ -61,11 +62,13 @@ def listen(node: Node, topic: Topic, on_message: OnMessage) -> None:
 def take_what_arrived(node: Node) -> None:
     """Hand on, at the end, the messages that came but that nobody has been told of."""
     for subscription in node.subscriptions:
+        # That to the simulated time, which rclpy makes, is not told of anything else.
+        told = len(signature(subscription.callback).parameters)
         with subscription.handle:
             while taken := subscription.handle.take_message(
                 subscription.msg_type, subscription.raw
             ):
-                subscription.callback(*taken)
+                subscription.callback(*taken[:told])
 
 
 def received_ns(info: Info) -> int:

@@ -15,6 +15,7 @@ from array import array
 from collections.abc import Callable, Collection, Mapping
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
+from pydantic import Field
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.exceptions import (
     InvalidParameterTypeException,
@@ -24,12 +25,27 @@ from rclpy.exceptions import (
 from rclpy.parameter import Parameter
 
 from gtmr_model import ConfigError, YamlModel
+from gtmr_msgs_py.contract import BASE_LINK, MAP, Frames
 from gtmr_msgs_py.node.declarations import declarations
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
 M = TypeVar("M", bound=YamlModel)
+
+
+class FrameParameters(YamlModel):
+    """The parameters that name the frames; a message of others is dropped."""
+
+    world_frame: str = Field(MAP, min_length=1)
+    """Name of the world frame, ENU."""
+    body_frame: str = Field(BASE_LINK, min_length=1)
+    """Name of the vehicle's frame, FLU; it differs where several vehicles share a world frame."""
+
+    @property
+    def frames(self) -> Frames:
+        """Both names."""
+        return Frames(self.world_frame, self.body_frame)
 
 
 class ModelParameters(Generic[M]):

@@ -8,13 +8,19 @@
 
 """A node that is plain, or managed by lifecycle services."""
 
+import time
+import traceback
 from collections.abc import Callable, Iterable
+from functools import wraps
 from typing import Any
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from gtmr_model import ConfigError
 from gtmr_msgs_py.node.parameter_events import PARAMETER_EVENTS, own_parameters
+from gtmr_msgs_py.wire.drops import WARNING_PERIOD_S, Drops
+from gtmr_msgs_py.wire.message_error import MessageError
+from gtmr_msgs_py.wire.reading import read
 
 
 class SuiteNode(LifecycleNode):
@@ -22,10 +28,15 @@ class SuiteNode(LifecycleNode):
 
     A plain node does all three at once. A managed one allocates when lifecycle services configure
     it and connects when they activate it; while it is not active it hears nothing, and so
-    publishes nothing.
+    publishes nothing. No message ends it: what cannot be used is counted in ``drops``.
     """
 
     def __init__(self, name: str, managed: bool) -> None:
+        self.drops = Drops(self.warn)
+        """The messages that were not used, but for those that are counted elsewhere."""
+        self.callback_errors = 0
+        """How many messages made a callback fail, by no fault of theirs that was foreseen."""
+        self._told_error_s = -WARNING_PERIOD_S
         super().__init__(name, enable_communication_interface=managed)
         self.connected = False
         """Whether it takes part in the graph; only then need parameters be applied at once, as
@@ -34,6 +45,46 @@ class SuiteNode(LifecycleNode):
         """Whether it has done what it was started for, so that its process may end."""
         self._kept: list[list[Any]] = []
         self._parameters_again = PARAMETER_EVENTS.publisher(self)
+
+    def warn(self, reason: str) -> None:
+        """Say in the log what is wrong."""
+        self.get_logger().warning(reason)
+
+    def create_subscription(
+        self,
+        msg_type: type,
+        topic: str,
+        callback: Callable[..., Any],
+        qos_profile: Any,
+        *,
+        raw: bool = False,
+        **options: Any,
+    ) -> Any:
+        """Subscribe, as any node does, so that no message leaves the callback as an exception.
+
+        rclpy's own subscriptions, such as that to the simulated time, come through here too. All
+        are raw: a message that cannot be decoded must fail in here, not in the executor.
+        """
+
+        @wraps(callback)
+        def take(data: bytes, *info: Any) -> None:
+            try:
+                callback(data if raw else read(data, msg_type), *info)
+            except MessageError as error:
+                self.drops.add(error)
+            except Exception:
+                self._tell_callback_error(topic)
+
+        return super().create_subscription(msg_type, topic, take, qos_profile, raw=True, **options)
+
+    def _tell_callback_error(self, topic: str) -> None:
+        self.callback_errors += 1
+        now_s = time.monotonic()
+        if now_s - self._told_error_s >= WARNING_PERIOD_S:
+            self._told_error_s = now_s
+            self.get_logger().error(
+                f"failed at a message on {topic}, going on:\n{traceback.format_exc()}"
+            )
 
     def tell_parameters(self) -> None:
         """Publish all parameters again as a flight begins, for a recorder that came since.

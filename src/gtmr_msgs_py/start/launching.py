@@ -20,7 +20,14 @@ from ament_index_python.packages import (
     get_package_prefix,
     get_package_share_directory,
 )
-from launch.actions import DeclareLaunchArgument, Shutdown
+from launch.actions import (
+    DeclareLaunchArgument,
+    ExecuteProcess,
+    LogInfo,
+    RegisterEventHandler,
+    Shutdown,
+)
+from launch.event_handlers import OnProcessStart
 from launch_ros.actions import Node
 
 from gtmr_model.yaml_file import parse_yaml
@@ -32,6 +39,12 @@ if TYPE_CHECKING:
 
 IN_FLIGHT_TIME = {"use_sim_time": True}
 """Parameters of a node that goes by the simulator's clock."""
+BAD_INPUT = 2
+"""Exit code of a node that cannot use a parameter, which another try would not change."""
+RESPAWNED = ("nmpc", "monitor")
+"""Executables that are started again if they fail."""
+RESPAWN_DELAY_S = 0.1
+"""Time before that [s]: launch has to learn of its own end first."""
 VIEWERS = {"rviz": "rviz2", "foxglove": "foxglove_bridge"}
 """Package, and executable, by argument."""
 
@@ -75,6 +88,14 @@ EVERYWHERE = {
     ),
     "log_level": Argument(
         "What the nodes tell", "info", choices=("debug", "info", "warn", "error", "fatal")
+    ),
+    "respawn": Argument(
+        "How many times a controller or monitor that failed is started again", "3", kind=int
+    ),
+    "managed": Argument(
+        "Whether nodes have lifecycle services; they are configured and activated too",
+        "false",
+        kind=bool,
     ),
     "rviz": Argument("Whether to open RViz", "false", kind=bool),
     "foxglove": Argument("Whether to start foxglove_bridge", "false", kind=bool),
@@ -164,6 +185,24 @@ def required(event: ProcessExited, context: LaunchContext) -> list[Any]:
     return [Shutdown(reason=f"{event.process_name} has ended")]
 
 
+def _required_after(tries: int) -> OnExit:
+    """Let a process that failed be started again so many times, then end the launch as a failure.
+
+    What it cannot use is not tried again.
+    """
+    left = tries
+
+    def failed(event: ProcessExited, context: LaunchContext) -> list[Any]:
+        nonlocal left
+        if context.is_shutdown or event.returncode in (0, BAD_INPUT) or left == 0:
+            return required(event, context)
+        left -= 1
+        again = f"{event.process_name} ended with exit code {event.returncode}: starts again"
+        return [LogInfo(msg=f"{again}, {left} more times at most")]
+
+    return failed
+
+
 def node(
     executable: str,
     arguments: Mapping[str, Argument],
@@ -171,21 +210,55 @@ def node(
     parameters: Mapping[str, Any],
     below: str = "",
     on_exit: OnExit = required,
-) -> Node:
+) -> list[Any]:
     """Start ``sim``, ``nmpc`` or ``monitor`` with the values of a launch file's arguments.
 
     Further parameters win over those; ``below`` is a namespace below the one that was given.
+    Controller and monitor are started again if they fail, the simulator is not: it has no flight
+    to go on with. A managed node is brought up whenever it has started.
     """
+    respawns = given["respawn"] if executable in RESPAWNED else 0
+    managed = given["managed"]
     set_by_argument = {n: v for n, v in given.items() if executable in arguments[n].parameter_of}
-    return Node(
+    made = Node(
         package="gtmr",
         executable=executable,
+        arguments=["--managed"] if managed else [],
         parameters=[parameter_file(given["params_file"]), {**set_by_argument, **parameters}],
         ros_arguments=["--log-level", given["log_level"]],
         additional_env=node_environment(),
         output="screen",
-        on_exit=on_exit,
+        on_exit=_required_after(respawns) if respawns else on_exit,
+        respawn=respawns > 0,
+        respawn_max_retries=respawns,
+        respawn_delay=RESPAWN_DELAY_S,
         **_place(given, below),
+    )
+    if not managed:
+        return [made]
+    name = "/".join(("", *_namespace(given, below), executable))
+
+    def bring_up(*_: Any) -> list[Any]:
+        return [python("gtmr_msgs_py.start.bring_up", name, on_exit=_brought_up)]
+
+    return [RegisterEventHandler(OnProcessStart(target_action=made, on_start=bring_up)), made]
+
+
+def _brought_up(event: ProcessExited, context: LaunchContext) -> list[Any]:
+    return [] if event.returncode == 0 else required(event, context)
+
+
+def python(module: str, *arguments: str, on_exit: OnExit = required) -> ExecuteProcess:
+    """Run a module of the suite as a process of its own.
+
+    As scripts/ find Python: `gtmr` itself is on no path under colcon.
+    """
+    return ExecuteProcess(
+        name=module.rpartition(".")[2],
+        cmd=["python3", "-m", module, *arguments],
+        additional_env=node_environment(),
+        output="screen",
+        on_exit=on_exit,
     )
 
 
@@ -213,11 +286,15 @@ def views(given: Mapping[str, Any], below: tuple[str, ...] = ("",)) -> list[Node
 
 def _place(given: Mapping[str, Any], below: str) -> dict[str, Any]:
     """Say where a node is; in a namespace it has time and transforms of its own."""
-    namespace = "/".join(filter(None, (given.get("namespace", ""), below)))
+    namespace = "/".join(_namespace(given, below))
     if not namespace:
         return {}
     own = [(f"/{name}", name) for name in ("clock", "tf", "tf_static")]
     return {"namespace": namespace, "remappings": own}
+
+
+def _namespace(given: Mapping[str, Any], below: str) -> list[str]:
+    return [part for part in (given.get("namespace", "").strip("/"), below) if part]
 
 
 def parameter_file(name_or_path: str) -> str:

@@ -28,7 +28,7 @@ def export_c_command(
     ] = "default",
     vehicle: VehicleOption = None,
 ) -> None:
-    """Write the controller as plain C99, with a build file and a replay that checks it."""
+    """Write controller and guard as plain C99, with a build file and a replay that checks it."""
     require_empty_folder("DIR", folder)
     config = ControllerConfig.load("controller", controller)
     if vehicle is not None:
@@ -40,8 +40,9 @@ def export_c_command(
     except OSError as error:
         raise InputError(f"DIR = {folder}: cannot be written: {error.strerror}") from None
     console.print(
-        f"{len(written)} files in {folder}; the interface is gtmr.h. Build and check with\n"
+        f"{len(written)} files in {folder}; the interface is gtmr.h and gtmr_guard.h. "
+        "Build and check with\n"
         f"  cmake -S {folder} -B {folder}/build && cmake --build {folder}/build && "
-        f"{folder}/build/replay {folder}/flight.csv",
+        f"{folder}/build/replay {folder}/flight.csv {folder}/guard.csv",
         soft_wrap=True,
     )

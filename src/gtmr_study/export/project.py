@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The controller as plain C99, for use without Python: sources, parameters, a build, a replay."""
+"""Controller and guard as C99 for use without Python: sources, parameters, build, replay."""
 
 from importlib.resources import files
 from pathlib import Path
@@ -19,6 +19,7 @@ from gtmr_nmpc.compiled import codegen
 from gtmr_nmpc.compiled.iteration import CompiledIteration, CParameters, parameters
 from gtmr_nmpc.margins import PaperMargin
 from gtmr_sim import Scenario, Simulation
+from gtmr_study.export.guard import guard_files
 
 FLIGHT_S = 10.0
 """Length of the recorded flight that the replay is checked against [s]."""
@@ -29,7 +30,7 @@ FILES = ("replay.c", "CMakeLists.txt")
 
 
 def export_c(config: ControllerConfig, mode: Mode, folder: Path) -> list[Path]:
-    """Write the controller as C99 with all that is needed to build and check it.
+    """Write controller and guard as C99 with all that is needed to build and check them.
 
     CompileError if there is no C compiler to record the flight with, ConfigError if the margin is
     not the paper's.
@@ -37,7 +38,8 @@ def export_c(config: ControllerConfig, mode: Mode, folder: Path) -> list[Path]:
     if not isinstance(config.margin, PaperMargin):
         raise ConfigError(f"margin = {config.margin.kind!r}: in C there is the paper's alone")
     own = files("gtmr_study.export")
-    contents = codegen.c_sources(config) | {
+    contents = codegen.c_sources(config) | guard_files(config)
+    contents |= {
         "parameters.h": _parameters_header(config),
         "flight.csv": _flight(config, mode),
         **{name: (own / name).read_text(encoding="utf-8") for name in FILES},

@@ -23,7 +23,7 @@ from gtmr_msgs_py.messages.rotor_command import RotorPlan
 from gtmr_msgs_py.wire import stamps
 from gtmr_msgs_py.wire.message_error import MessageError
 from gtmr_nmpc import Controller, ControllerConfig, Mode, Solution
-from gtmr_nmpc.schedule import Due, Schedule
+from gtmr_nmpc.online.schedule import Due, Schedule
 from gtmr_study.ros.replay.parameters import RecordedParameters
 from gtmr_study.ros.replay.result import Replay, Step
 from gtmr_study.ros.replay.rotor_speeds import SOURCES, RotorSpeeds

@@ -10,8 +10,6 @@
 
 from enum import Enum, auto
 
-from gtmr_msgs_py.wire.order import StampOrder
-
 
 class Due(Enum):
     """What an odometry asks for."""
@@ -19,11 +17,11 @@ class Due(Enum):
     STEP = auto()
     """The next step."""
     RESTART = auto()
-    """A first step: the world began again, see `is_reset`, or there was none yet."""
+    """A first step: the world began again, or there was none yet."""
     REPEAT = auto()
     """The last command again: this odometry has been answered, but the answer was lost."""
     NOTHING = auto()
-    """To wait: the next step is not due yet, or this odometry came late."""
+    """To wait: the next step is not due yet."""
 
 
 class Schedule:
@@ -39,7 +37,6 @@ class Schedule:
         """The instant to plan from [ns]."""
         self.skipped = 0
         """How many steps had no odometry, or came too late."""
-        self._order = StampOrder()
         self._answered_ns: int | None = None
 
     @property
@@ -47,16 +44,18 @@ class Schedule:
         """The instant to prepare for [ns]."""
         return self.time_ns + self.period_ns
 
-    def admit(self, stamp_ns: int) -> Due:
-        """Say what an odometry asks for by its stamp [ns], and move on if it is a step."""
+    def admit(self, stamp_ns: int, begins_again: bool = False) -> Due:
+        """Say what an odometry asks for by its stamp [ns], and move on if it is a step.
+
+        Those that come late are left out before; `StampOrder` says so, and when the world begins
+        again.
+        """
         tolerance_ns = self.period_ns // self.EVENNESS
-        restarts = self._order.resets(stamp_ns) or self._answered_ns is None
-        late = self._order.is_late(stamp_ns)
-        if restarts:
+        if begins_again or self._answered_ns is None:
             self.time_ns, due = stamp_ns, Due.RESTART
         elif stamp_ns == self._answered_ns:
             return Due.REPEAT
-        elif late or stamp_ns < self.next_ns - tolerance_ns:
+        elif stamp_ns < self.next_ns - tolerance_ns:
             return Due.NOTHING
         else:
             late_ns = stamp_ns - self.next_ns
