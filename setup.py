@@ -19,6 +19,7 @@ maintainer = manifest.find("maintainer")
 nodes = ["sim", "nmpc", "monitor"]
 shared = [
     *Path("config").rglob("*.yaml"),
+    *Path("config").rglob("*.xml"),
     *Path("launch").glob("*.launch.py"),
     *Path("rviz").glob("*.*"),
 ]

@@ -8,6 +8,7 @@
 
 """The repository is laid out as README says, in folders small enough to take in at a glance."""
 
+import ast
 import re
 from collections import Counter
 from pathlib import Path
@@ -15,6 +16,9 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 MODULES = sorted((ROOT / "src").rglob("*.py"))
 MOST_MODULES = 9
+UNSAFE_MODULES = {"pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve"}
+UNSAFE_CALLS = {"os.system", "pd.read_pickle", "yaml.load", "yaml.unsafe_load", "yaml.full_load",
+                "yaml.Loader", "yaml.FullLoader", "yaml.UnsafeLoader"}  # fmt: skip
 
 
 def test_no_folder_holds_more_than_nine_modules():
@@ -28,3 +32,26 @@ def test_readme_lists_the_packages_that_there_are():
     assert sorted(listed) == sorted(
         path.parent.name for path in (ROOT / "src").glob("*/__init__.py")
     )
+
+
+def test_no_source_can_run_what_a_file_holds_but_the_one_for_controllers_of_ones_own():
+    own_controller = ROOT / "src" / "gtmr_study" / "own_controller.py"
+    runs = {}
+    for path in (ROOT / "src").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            match node:
+                case ast.Import(names=names):
+                    found = {name.name for name in names} & UNSAFE_MODULES
+                case ast.ImportFrom(module=module):
+                    found = {module} & UNSAFE_MODULES
+                case ast.Call(func=ast.Name(id=name)):
+                    found = {name} & {"eval", "exec"}
+                case ast.Attribute(value=ast.Name(id=module), attr=name):
+                    found = {f"{module}.{name}"} & UNSAFE_CALLS
+                case ast.keyword(arg=name):
+                    found = {name} & {"allow_pickle", "shell"}
+                case _:
+                    found = set()
+            if found:
+                runs.setdefault(path, set()).update(found)
+    assert runs == {own_controller: {"exec"}}

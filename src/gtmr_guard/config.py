@@ -38,7 +38,7 @@ class GuardConfig(YamlModel):
     """Most acceleration that it asks for, sideways and down; up it is that of gravity [m/s^2]."""
     stopped_m_s: float = Field(0.1, gt=0.0)
     """Speed along the tower's surface below which braking is over and the place is held [m/s]."""
-    max_tilt_deg: float = Field(60.0, gt=0.0, lt=180.0)
+    max_tilt_deg: float = Field(45.0, gt=0.0, lt=180.0)
     """Tilt of the vehicle beyond which no controller is trusted [deg]."""
     max_speed_m_s: float = Field(5.0, gt=0.0)
     """Speed beyond which no controller is trusted [m/s]."""
@@ -50,10 +50,17 @@ class GuardConfig(YamlModel):
     """Share of d_min below which the vehicle must move outward [-]."""
     zone_time_s: float = Field(0.5, gt=0.0)
     """How long it may fail to [s]."""
-    brake_m_s2: float = Field(1.0, gt=0.0)
-    """Deceleration towards the tower that is left to the controller's care [m/s^2]."""
+    reaction_s: float = Field(0.3, ge=0.0)
+    """Time until its braking takes effect [s]."""
+    brake_m_s2: float = Field(2.0, gt=0.0)
+    """Deceleration that it is sure of then [m/s^2]. It takes charge of a vehicle that these two
+    would bring to a stop closer to the tower than ``zone_ratio`` allows."""
+    delay_s: float = Field(0.0, ge=0.0, le=0.2)
+    """Delay of measurements and lag of motors together, for which it slows its gains [s]."""
     handback_s: float = Field(0.1, gt=0.0)
     """How long all must be well before the controller flies again [s]."""
+    fresh_s: float = Field(0.06, gt=0.0)
+    """How old a plan may be for that: what it began with was not flown [s]."""
     position_filter_rad_s: float = Field(8.0, gt=0.0)
     """Poles of the estimate of velocity and disturbing acceleration [rad/s]."""
     attitude_filter_rad_s: float = Field(20.0, gt=0.0)
@@ -105,8 +112,10 @@ class Parameters(NamedTuple):
     max_command_hz_s: float
     zone_m: float
     zone_time_s: float
+    reaction_s: float
     brake_m_s2: float
     handback_s: float
+    fresh_s: float
     position_filter_rad_s: float
     attitude_filter_rad_s: float
     position_gain: float
@@ -116,6 +125,18 @@ class Parameters(NamedTuple):
     rotor_gain: float
 
 
+SLOWED = (
+    "position_filter_rad_s",
+    "attitude_filter_rad_s",
+    "position_gain",
+    "velocity_gain",
+    "attitude_gain",
+    "rate_gain",
+    "rotor_gain",
+)
+"""What delay slows."""
+HALVING_DELAY_S = 0.06
+"""Delay for which all of it is halved [s]."""
 TORQUE_RESERVE = 0.1
 """Share of the rotors' range of squared speeds that thrust leaves to torque at either end [-]."""
 
@@ -132,6 +153,8 @@ def parameters(vehicle: Vehicle, tower: Tower, config: GuardConfig) -> Parameter
     low, high = vehicle.min_rotor_speed_hz**2, vehicle.max_rotor_speed_hz**2
     reserve = TORQUE_RESERVE * (high - low)
     own = {name: getattr(config, name) for name in Parameters._fields if hasattr(config, name)}
+    slowing = 1.0 + config.delay_s / HALVING_DELAY_S
+    own |= {name: own[name] / slowing for name in SLOWED}
     return Parameters(
         inertia_kg_m2=np.array(vehicle.inertia_kg_m2),
         allocation=allocation,

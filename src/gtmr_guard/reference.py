@@ -134,7 +134,13 @@ class ReferenceGuard:
 
         lingers = clearance < k.zone_m and v_r < k.stopped_m_s
         self._zone_s = self._zone_s + dt if lingers else 0.0
-        unstoppable = v_r < 0.0 and clearance < k.zone_m + v_r * v_r / (2.0 * k.brake_m_s2)
+        # Where it would come to rest if it began to brake now, and its push inward went on until
+        # that takes effect.
+        inward = min(outward @ self._thrust + outward @ self.d, 0.0)
+        v_then = v_r + k.reaction_s * inward
+        stop = clearance + 0.5 * k.reaction_s * (v_r + v_then)
+        stop -= v_then * v_then / (2.0 * k.brake_m_s2)
+        unstoppable = v_r < 0.0 and stop < k.zone_m
         # Not a number compares as false.
         usable = bool((np.abs(u_due) <= k.max_command_hz_s).all())
 
@@ -157,6 +163,7 @@ class ReferenceGuard:
         elif self.cause != NONE:
             well = (
                 overdue_s < 0.0
+                and age_s <= k.fresh_s
                 and self.R[2, 2] > 0.5 * (1.0 + k.min_tilt_cosine)
                 and speed < 0.5 * k.max_speed_m_s
                 and rate < 0.5 * k.max_rate_rad_s

@@ -12,8 +12,6 @@ A reader of damaged bags is only as good as this: for any bit, the flight is the
 the whole bag, or its coverage says what is missing.
 """
 
-from __future__ import annotations
-
 import random
 import shutil
 import tempfile

@@ -8,8 +8,6 @@
 
 """How much of a flight its record covers, where it has gaps, and why."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise

@@ -66,7 +66,8 @@ class MonitorParameters(FrameParameters):
     tower: Tower = Tower()
     """What to keep away from."""
     bag: str = ""
-    """Folder to record the flight into, new or empty; empty for no recording."""
+    """Folder to record the flight into, new or empty, or with a bag of the same nodes, in which it
+    goes on; empty for no recording."""
     namespaces: Annotated[tuple[str, ...], Field(min_length=1)] = ("",)
     """Namespaces of the vehicles to watch and record, below the node's own; empty for its own."""
 
@@ -145,10 +146,10 @@ class MonitorNode(SuiteNode):
     def __init__(self, managed: bool = False) -> None:
         super().__init__("monitor", managed)
         self._settings = ModelParameters(self, MonitorParameters, self.PRESETS, self.DYNAMIC)
-        self._recording = Recorder("", self._say)
+        self._recording = Recorder("", {}, self._say)
 
     def allocate(self) -> None:
-        """Open the bag, which must be new or empty."""
+        """Open the bag."""
         self._vehicles = [WatchedVehicle(self, name) for name in self._settings.value.namespaces]
         self._recording = self._record_into(self._settings.value.bag)
         self._status = topics.DIAGNOSTICS.publisher(self)
@@ -178,7 +179,7 @@ class MonitorNode(SuiteNode):
         """Close the bag, with what has already arrived."""
         if self._recording.active:
             take_what_arrived(self)
-        ended, self._recording = self._recording, Recorder("", self._say)
+        ended, self._recording = self._recording, Recorder("", {}, self._say)
         ended.close()
 
     def destroy_node(self) -> None:
@@ -199,13 +200,13 @@ class MonitorNode(SuiteNode):
         self.get_logger().error(reason)
 
     def _record_into(self, folder: str) -> Recorder:
+        recorded = {
+            name: (topic.type_name, _offered(topic.qos)) for name, topic in self._topics().items()
+        }
         try:
-            recording = Recorder(folder, self._say)
+            return Recorder(folder, recorded, self._say)
         except BagError as error:
             raise ConfigError(f"{self.get_name()}: bag = {error}") from None
-        for name, topic in self._topics().items():
-            recording.add_topic(name, topic.type_name, _offered(topic.qos))
-        return recording
 
     def _record_everything(self) -> None:
         written_otherwise = {PARAMETER_EVENTS.name}
@@ -281,7 +282,7 @@ class MonitorNode(SuiteNode):
     def _diagnose_vehicle(self, vehicle: WatchedVehicle) -> None:
         watch, recording, tower = vehicle.watch, self._recording, self._settings.value.tower
         level, message = Level.OK, "clear of the tower"
-        if recording.unwritten:
+        if recording.stopped:
             level, message = Level.ERROR, "stopped recording: the bag cannot be written"
         elif watch.current_m > 0.0:
             level, message = Level.ERROR, "the clearance is violated"
@@ -289,6 +290,13 @@ class MonitorNode(SuiteNode):
             level, message = Level.STALE, "no odometry"
         elif watch.violations:
             level, message = Level.WARN, "the clearance was violated"
+        elif recording.resumed:
+            level, message = Level.WARN, f"{message} since this monitor was started"
+        if recording.unwritten and not recording.stopped:
+            level = max(level, Level.WARN)
+            message += "; some messages are not in the bag"
+        if recording.resumed:
+            message += "; what was before is in the bag"
         if vehicle.late:
             message += "; some odometry came late"
         vehicle.towers.take(

@@ -18,6 +18,10 @@ from gtmr_sim.simulation import Simulation
 
 NANOSECONDS = 1_000_000_000
 """In a second."""
+MAX_DELAY_NS = 60_000_000
+"""Oldest state from which a plan is taken [ns]: with more delay in the loop than this it is no
+longer stable. One that comes late is no loss, as the plan in play goes on; if all do, that one
+ends, and the guard takes charge."""
 
 
 class Session:
@@ -117,9 +121,11 @@ class Session:
     def command(self, stamp_ns: int, u_plan: ArrayLike) -> bool:
         """Take over a plan [Hz/s], shape (N, N_p), one row every T_s, for a state's stamp [ns].
 
-        Says whether it is taken: it must be newer than the plan in play, not from the future, and
-        for time zero if it is the first.
+        Says whether it is taken: it must be newer than the plan in play, not from the future, not
+        for a state older than `MAX_DELAY_NS`, and for time zero if it is the first.
         """
+        if self.stamp_ns - stamp_ns > MAX_DELAY_NS:
+            return False
         if stamp_ns > self.stamp_ns or (not self.started and stamp_ns != 0):
             return False
         if self._command_ns is not None and stamp_ns <= self._command_ns:

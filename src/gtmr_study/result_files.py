@@ -90,7 +90,7 @@ def _usable(option: str, path: Path) -> Iterator[None]:
         raise InputError(f"{option} = {path}: cannot be written: {error.strerror}") from None
 
 
-def write_json(path: Path | None, result: dict[str, Any]) -> None:
+def write_json(path: Path | None, result: dict[str, Any] | list[Any]) -> None:
     """Write a result as JSON, whole or not at all; None as path writes nothing.
 
     Raises OSError if it cannot be written.

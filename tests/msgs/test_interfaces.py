@@ -140,3 +140,10 @@ def test_a_node_takes_from_a_parameter_file_what_is_its_own(load, name, path):
             assert taken == type(taken).load(parameter, value)
         else:
             assert taken == (tuple(value) if isinstance(value, list) else value), parameter
+
+
+def test_the_security_policy_is_that_of_the_code():
+    generator = runpy.run_path(str(ROOT / "docs" / "security.py"))
+    assert generator["POLICY"].read_text() == generator["policy"](), (
+        "run .venv/bin/python docs/security.py"
+    )

@@ -132,3 +132,21 @@ def test_a_signal_in_a_callback_lets_it_finish(stop, executor):
         node.send_signal(stop)
         rest, error = node.communicate(timeout=60)
     assert (node.returncode, rest, error) == (0, "done\n", "")
+
+
+def test_without_the_security_that_is_asked_for_no_node_starts(tmp_path):
+    enclave = tmp_path / "enclaves"
+    enclave.mkdir()
+    for name in ("identity_ca.cert.pem", "cert.pem", "key.pem", "permissions_ca.cert.pem",
+                 "governance.p7s", "permissions.p7s"):  # fmt: skip
+        (enclave / name).touch()
+    asked = {"ENABLE": "true", "STRATEGY": "Enforce", "KEYSTORE": str(tmp_path)}
+    run = started(
+        *(sys.executable, "-c", RUN.format(raises="pass")),
+        env=os.environ | {f"ROS_SECURITY_{name}": value for name, value in asked.items()},
+    )
+    assert run.returncode == 2
+    assert "security" in run.stderr
+    # Fast DDS says something of its own before, and lets it stand.
+    assert run.stderr.splitlines()[-1].startswith("error: ")
+    assert "Traceback" not in run.stderr

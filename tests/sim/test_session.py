@@ -52,6 +52,15 @@ def test_without_lockstep_time_goes_on_and_missing_commands_are_counted():
     assert flight.command_age_s == pytest.approx(0.075)
 
 
+def test_a_plan_for_a_state_too_old_is_not_taken():
+    flight = session(tick_s=0.005)
+    flight.command(0, HOLD)
+    for _ in range(20):
+        flight.advance()
+    assert not flight.command(35_000_000, HOLD)
+    assert flight.command(40_000_000, HOLD)
+
+
 def test_a_command_from_before_a_reset_is_not_taken():
     flight = session()
     flight.command(0, HOLD)

@@ -230,7 +230,7 @@ static double radial(const gtmr_guard *g, double *outward)
 static void decide(gtmr_guard *g, double dt_s, const double *u_due, double overdue_s, double age_s)
 {
     const gtmr_guard_parameters *k = &g->is;
-    double outward[3], clearance, v_r, speed, rate;
+    double outward[3], clearance, v_r, v_then, stop, speed, rate;
     int usable = 1, i;
     gtmr_guard_cause cause = GTMR_GUARD_NONE;
     if (g->warm_s < 0.0)
@@ -239,6 +239,11 @@ static void decide(gtmr_guard *g, double dt_s, const double *u_due, double overd
     v_r = dot(outward, g->v);
     speed = sqrt(dot(g->v, g->v)), rate = sqrt(dot(g->omega, g->omega));
     g->zone_s = clearance < k->zone_m && v_r < k->stopped_m_s ? g->zone_s + dt_s : 0.0;
+    /* Where it would come to rest if it began to brake now, and its push inward went on until that
+     * takes effect. */
+    v_then = v_r + k->reaction_s * fmin(dot(outward, g->thrust) + dot(outward, g->d), 0.0);
+    stop = clearance + 0.5 * k->reaction_s * (v_r + v_then);
+    stop -= v_then * v_then / (2.0 * k->brake_m_s2);
     for (i = 0; i < ROTORS; i++)
         usable = usable && fabs(u_due[i]) <= k->max_command_hz_s; /* false for NaN */
 
@@ -250,8 +255,7 @@ static void decide(gtmr_guard *g, double dt_s, const double *u_due, double overd
         cause = GTMR_GUARD_TILT;
     else if (speed > k->max_speed_m_s || rate > k->max_rate_rad_s)
         cause = GTMR_GUARD_SPEED;
-    else if (g->zone_s > k->zone_time_s ||
-             (v_r < 0.0 && clearance < k->zone_m + v_r * v_r / (2.0 * k->brake_m_s2)))
+    else if (g->zone_s > k->zone_time_s || (v_r < 0.0 && stop < k->zone_m))
         cause = GTMR_GUARD_ZONE;
 
     if (cause != GTMR_GUARD_NONE) {
@@ -260,7 +264,8 @@ static void decide(gtmr_guard *g, double dt_s, const double *u_due, double overd
         g->cause = cause;
         g->quiet_s = 0.0;
     } else if (g->cause != GTMR_GUARD_NONE) {
-        int well = overdue_s < 0.0 && g->R[2][2] > 0.5 * (1.0 + k->min_tilt_cosine) &&
+        int well = overdue_s < 0.0 && age_s <= k->fresh_s &&
+                   g->R[2][2] > 0.5 * (1.0 + k->min_tilt_cosine) &&
                    speed < 0.5 * k->max_speed_m_s && rate < 0.5 * k->max_rate_rad_s &&
                    clearance > k->min_clearance_m;
         g->quiet_s = well ? g->quiet_s + dt_s : 0.0;

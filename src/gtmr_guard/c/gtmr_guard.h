@@ -48,8 +48,10 @@ typedef struct {
     double max_command_hz_s;
     double zone_m;
     double zone_time_s;
+    double reaction_s;
     double brake_m_s2;
     double handback_s;
+    double fresh_s;
     /* Poles of the estimates [rad/s], gains of the law [1/s]. */
     double position_filter_rad_s;
     double attitude_filter_rad_s;

@@ -8,8 +8,6 @@
 
 """What a bag lacks of what was recorded into it, found out while it is being read."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter, defaultdict
 from collections.abc import Mapping
@@ -17,6 +15,8 @@ from dataclasses import asdict, dataclass, field
 
 RECOVERED = "gtmr_recovered"
 """Name of the metadata in a recovered bag that say what could not be recovered."""
+TORN_OFF = "torn off"
+"""That of a bag that was recovered."""
 CHUNK = "damaged chunk"
 RECORD = "damaged record"
 INDEX = "damaged index"
@@ -54,6 +54,8 @@ class Losses:
     """What is wrong, and how often."""
     topics: dict[str, TopicLoss] = field(default_factory=lambda: defaultdict(TopicLoss))
     """What is lost, by topic."""
+    recovered: bool = False
+    """Whether the bag was made of what was left of another."""
     _seen: set[str] = field(default_factory=set)
     _recovered: dict[str, TopicLoss] = field(default_factory=dict)
 
@@ -106,13 +108,15 @@ class Losses:
     def as_metadata(self) -> dict[str, str]:
         """Give it as metadata of an MCAP file."""
         topics = {topic: asdict(loss) for topic, loss in self.topics.items() if loss.total}
-        return {"causes": json.dumps(+self.causes), "topics": json.dumps(topics)}
+        causes = {TORN_OFF if c == NO_END else c: n for c, n in self.causes.items() if n}
+        return {"causes": json.dumps(causes), "topics": json.dumps(topics)}
 
     def add_metadata(self, metadata: Mapping[str, str]) -> None:
         """Take over what a recovered file says of the bag that it was made of."""
         try:
             causes = json.loads(metadata["causes"])
             topics = json.loads(metadata["topics"])
+            self.recovered = True
             self.causes.update({str(cause): int(n) for cause, n in causes.items()})
             for topic, loss in topics.items():
                 self._recovered[topic] = TopicLoss(**{k: int(n) for k, n in loss.items()})

@@ -21,6 +21,12 @@ ROS_DISTRO = "jazzy"
 """Whose message definitions the bag carries."""
 FILE_NAME = "metadata.yaml"
 """Beside the MCAP files of a bag."""
+DRAFT_NAME = "metadata.yaml.tmp"
+"""It before it is whole."""
+MENDING_NAME = ".mending"
+"""Folder in which a file that was torn off is made whole."""
+LEFTOVERS = (FILE_NAME, DRAFT_NAME, MENDING_NAME)
+"""What a recorder may leave in its folder beside MCAP files."""
 _MOST_BYTES = 10_000_000
 """No metadata.yaml is as large as that [bytes]."""
 
@@ -63,6 +69,39 @@ class Contents:
     """How many messages there are in all of them."""
     topics: Mapping[str, int]
     """How many there are, by topic."""
+
+
+@dataclass(frozen=True)
+class FileTotals:
+    """What there is in one MCAP file of a bag."""
+
+    name: str
+    """Of the file."""
+    start_ns: int
+    """When its first message was received, Unix time [ns]; 0 without messages."""
+    end_ns: int
+    """When its last message was received, Unix time [ns]."""
+    counts: Mapping[str, int]
+    """How many messages there are, by topic."""
+
+    @property
+    def messages(self) -> int:
+        """How many there are of all topics."""
+        return sum(self.counts.values())
+
+
+def profiles_in(text: str) -> list[dict[str, Any]]:
+    """Read the quality of service in a channel; the default if it is not as Jazzy writes it."""
+    try:
+        profiles = yaml.safe_load(text)
+    except yaml.YAMLError:
+        profiles = None
+    expected = set(OfferedQos().profile())
+    if isinstance(profiles, list) and all(
+        isinstance(each, dict) and set(each) == expected for each in profiles
+    ):
+        return profiles
+    return [OfferedQos().profile()]
 
 
 def read_contents(folder: Path) -> Contents | None:

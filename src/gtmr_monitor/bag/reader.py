@@ -25,6 +25,7 @@ from gtmr_monitor.bag import losses as cause
 from gtmr_monitor.bag import metadata
 from gtmr_monitor.bag.format import BagError, typestore
 from gtmr_monitor.bag.losses import FileTally, Losses
+from gtmr_monitor.bag.metadata import FileTotals
 from gtmr_monitor.bag.records import Damaged, Summary, read_summary, walk
 
 
@@ -52,6 +53,8 @@ class BagMessage:
     """The message in CDR."""
     place: tuple[int, int] = (0, 0)
     """Number of its file, and its number in its topic there, where the recorder kept count."""
+    definition: tuple[Channel, Schema] | None = field(default=None, repr=False, compare=False)
+    """How its topic was announced."""
 
     def decode(self) -> Any:
         """Deserialise the message into an object with the fields of the ROS message.
@@ -75,7 +78,7 @@ def bag_files(path: str | Path) -> list[Path]:
         raise BagError(f"{path}: no such bag")
     if path.is_file():
         return [path]
-    files = sorted(path.glob("*.mcap"), key=_split_number)
+    files = sorted(path.glob("*.mcap"), key=split_number)
     if not files:
         raise BagError(f"{path}: not a bag: there is no .mcap file in this folder")
     return files
@@ -133,6 +136,11 @@ class _FileReader:
         self.tally = FileTally()
         self.expected: dict[str, int] | None = None
         """How many messages each topic has, as its own end says; None if it does not."""
+
+    @property
+    def topics(self) -> set[str]:
+        """The topics that the file announces, as far as it was read."""
+        return {channel.topic for channel in self._channels.values()}
 
     def messages(self, contents: metadata.Contents | None) -> Iterator[BagMessage]:
         """Read what can be read, and count what cannot; contents are those of this file alone."""
@@ -225,6 +233,7 @@ class _FileReader:
                     record.publish_time or record.log_time,
                     record.data,
                     (self._number, record.sequence),
+                    (channel, schema),
                 )
 
 
@@ -236,7 +245,7 @@ def _compare(
 ) -> None:
     """Compare what there is with what metadata.yaml, and the numbers of the files, say."""
     names = {file.name for file in files}
-    numbers = [_split_number(file)[0] for file in files]
+    numbers = [split_number(file)[0] for file in files]
     missing = len(range(numbers[0], numbers[-1] + 1)) - len(set(numbers))
     if contents is None:
         losses.causes[cause.MISSING_FILE] += missing
@@ -256,8 +265,8 @@ def _compare(
     if None not in known and not absent:
         losses.causes[cause.METADATA] += 1
         return
-    first_absent = bool(absent) and _split_number(Path(absent[0]))[0] < numbers[0]
-    last_absent = bool(absent) and _split_number(Path(absent[-1]))[0] > numbers[-1]
+    first_absent = bool(absent) and split_number(Path(absent[0]))[0] < numbers[0]
+    last_absent = bool(absent) and split_number(Path(absent[-1]))[0] > numbers[-1]
     at_the_end = last_absent or (not absent and known[-1] is None)
     for topic, n in contents.topics.items():
         there = sum(each.tally.read[topic] for each in read) + losses.topics[topic].total
@@ -274,7 +283,38 @@ def _positive(contents: metadata.Contents) -> dict[str, int]:
     return {topic: n for topic, n in contents.topics.items() if n > 0}
 
 
-def _split_number(path: Path) -> tuple[int, str]:
+def topics_in(file: Path) -> set[str]:
+    """Name the topics that an MCAP file announces; none if it was torn off before.
+
+    Raises BagError if it is no MCAP file.
+    """
+    reader = _FileReader(file, 0, Losses())
+    next(reader.messages(None), None)
+    return reader.topics
+
+
+def totals_of(file: Path) -> FileTotals:
+    """Read what there is in an MCAP file from its end.
+
+    Raises BagError if it has none.
+    """
+    try:
+        summary = read_summary(file.read_bytes())
+    except OSError as error:
+        raise BagError(f"{file}: cannot read: {error.strerror}") from None
+    statistics = None if summary is None else summary.statistics
+    if summary is None or statistics is None:
+        raise BagError(f"{file}: has no end: gtmr recover makes a whole bag of what is left")
+    counts = statistics.channel_message_counts
+    return FileTotals(
+        file.name,
+        statistics.message_start_time,
+        statistics.message_end_time,
+        {channel.topic: counts.get(channel.id, 0) for channel in summary.channels.values()},
+    )
+
+
+def split_number(path: Path) -> tuple[int, str]:
     """Rosbag2 numbers the files of a split bag: name_0.mcap, ..., name_10.mcap."""
     match = re.search(r"_(\d+)$", path.stem)
     return (int(match.group(1)) if match else 0, path.name)

@@ -12,8 +12,6 @@ The container's layout is that of the MCAP specification, version 0; single reco
 the ``mcap`` library.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 import zlib

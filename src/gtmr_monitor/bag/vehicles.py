@@ -190,7 +190,7 @@ class _Bag:
         begin = gaps_between(stamps_ns, period_s)
         gaps = [(float(t[k]), float(t[k + 1])) for k in begin]
         places = [message.place for message in self.of(contract.ODOM)[odom]]
-        numbered = all(a < b for a, b in pairwise(places))
+        numbered = not losses.recovered and all(a < b for a, b in pairwise(places))
         there = {item.place for item in flown}
         for k in begin:
             (file, a), (other_file, b) = sorted((flown[k].place, flown[k + 1].place))

@@ -15,6 +15,7 @@ from argparse import ArgumentParser
 from collections.abc import Callable
 
 import rclpy
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
@@ -63,13 +64,16 @@ def run(
         # rclpy's own handlers close the context under a callback, and interrupt it.
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
-        reason = " ".join(str(error).partition(", at /")[0].split())
-        sys.stderr.write(f"error: {reason}\n")
+        sys.stderr.write(f"error: {_reason(error)}\n")
         return BAD_INPUT
     node = None
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        node = make_node(managed)
+        try:
+            node = make_node(managed)
+        except RCLError as error:
+            # No participant, as where the security that is asked for cannot be had.
+            raise ConfigError(_reason(error)) from None
         refuse_unknown_names(node, command_line)
         if not managed:
             node.start()
@@ -94,6 +98,11 @@ def run(
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _reason(error: Exception) -> str:
+    """Say in one line what rcl said in several, without its own places in the source."""
+    return " ".join(str(error).partition(", at /")[0].split())
 
 
 def _is_managed(make_node: Callable[[bool], SuiteNode], args: list[str]) -> bool:

@@ -25,11 +25,13 @@ MODULES = {
     "demo": "demo",
     "bench": "bench",
     "export-c": "export",
-    "campaign": "campaign",
-    "reproduce": "campaign",
-    "calibrate": "campaign",
+    "campaign": "campaigns.campaign",
+    "reproduce": "campaigns.campaign",
+    "calibrate": "campaigns.campaign",
+    "faults": "campaigns.faults",
     "replay": "replay",
     "play": "replay",
+    "recover": "replay",
     "report": "app",
 }
 """Module of every command, beside this one; there ``export-c`` is ``export_c_command``."""
@@ -63,7 +65,8 @@ def _function(name: str) -> str:
 
 def _said_of(name: str) -> str:
     """First line of a command's docstring, without loading it."""
-    source = Path(__file__).with_name(f"{MODULES[name]}.py").read_text(encoding="utf-8")
+    module = Path(__file__).parent.joinpath(*MODULES[name].split(".")).with_suffix(".py")
+    source = module.read_text(encoding="utf-8")
     functions = {f.name: f for f in ast.parse(source).body if isinstance(f, ast.FunctionDef)}
     return (ast.get_docstring(functions[_function(name)]) or "").partition("\n")[0]
 

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Commands that use a bag again: ``gtmr replay`` and ``gtmr play``."""
+"""Commands that use a bag again: ``gtmr replay``, ``gtmr play`` and ``gtmr recover``."""
 
 import signal
 import warnings
@@ -36,7 +36,13 @@ from gtmr_study.cli.terminal import (
     progress,
     require_choice,
 )
-from gtmr_study.result_files import InputError, require_folder_of, require_new_file, write_json
+from gtmr_study.result_files import (
+    InputError,
+    require_empty_folder,
+    require_folder_of,
+    require_new_file,
+    write_json,
+)
 
 RATES = (0.01, 100.0)
 """Least and greatest rate of a playback."""
@@ -147,6 +153,24 @@ def play_command(
         signal.signal(signal.SIGINT, before)
     for note in notes:
         complain(note)
+
+
+def recover_command(
+    bag: BagArgument,
+    out: Annotated[Path, option("DIR", "Folder of the whole bag; new or empty.")],
+    json: JsonOption = None,
+) -> None:
+    """Make a whole bag of what is left of a damaged one."""
+    from gtmr_monitor.recover import recover
+
+    require_empty_folder("--out", out)
+    require_folder_of("--json", json)
+    with damage_told():
+        recovered = recover(bag, out)
+    for odom, coverage in recovered.coverage.items():
+        tell_coverage(odom, coverage)
+    write_json(json, recovered.result())
+    console.print(f"{recovered.messages} messages: {out}", highlight=False, soft_wrap=True)
 
 
 @contextmanager
