@@ -31,9 +31,9 @@ test quick: export ROS_PYTHON_CHECK_FIELDS := 1
 test: setup
 	$(PYTEST) $(ARGS)
 
-# All but whole ROS graphs.
+# All but whole ROS graphs and long studies.
 quick: setup
-	$(PYTEST) --ignore tests/graph $(ARGS)
+	$(PYTEST) --ignore tests/graph -m 'not slow' $(ARGS)
 
 lint: setup
 	$(BIN)/ruff check

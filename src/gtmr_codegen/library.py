@@ -9,6 +9,7 @@
 """C sources to a loaded shared library, through a cache that belongs to the user."""
 
 import ctypes
+import fcntl
 import hashlib
 import os
 import platform
@@ -19,9 +20,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, lru_cache
 from pathlib import Path
 
@@ -48,9 +49,9 @@ def load_library(
     """Load the library that C sources make, compiling them unless the user's cache has it.
 
     Compiling takes a while, and says so in a line on stderr. Any number of processes may ask for
-    the same library at once. A file in the cache that is not as it was written there, or is not
-    the user's own, is never loaded but made again. Raises CompileError if there is no compiler, or
-    it fails, or what it made can be neither written nor loaded.
+    the same library at once; one of them compiles it. A file in the cache that is not as it was
+    written there, or is not the user's own, is never loaded but made again. Raises CompileError if
+    there is no compiler, or it fails, or what it made can be neither written nor loaded.
     """
     compiler = _compiler()
     parts = [*compiler, *FLAGS, _version(compiler), _cpu()]
@@ -58,11 +59,24 @@ def load_library(
         parts += [name, text, *flags.get(name, ())]
     key = _digest("\0".join(parts).encode())
     home = _cache_folder()
-    if home is not None:
-        with suppress(OSError):
-            entry = _find(home, key)
-            if entry is not None:
-                return ctypes.CDLL(str(entry))
+    with suppress(OSError):
+        if (entry := _find(home, key)) is not None:
+            return ctypes.CDLL(str(entry))
+    with _turn(home):
+        return _found_or_made(title, home, key, compiler, sources, flags)
+
+
+def _found_or_made(
+    title: str,
+    home: Path | None,
+    key: str,
+    compiler: tuple[str, ...],
+    sources: Mapping[str, str],
+    flags: Mapping[str, tuple[str, ...]],
+) -> ctypes.CDLL:
+    with suppress(OSError):
+        if (entry := _find(home, key)) is not None:
+            return ctypes.CDLL(str(entry))
     start = time.perf_counter()
     _say(f"gtmr: compiling {title}, once for this machine ...", end=" ")
     try:
@@ -136,8 +150,23 @@ def _is_own(status: os.stat_result) -> bool:
     return status.st_uid == os.getuid() and not writable_by_others
 
 
-def _find(folder: Path, key: str) -> Path | None:
+@contextmanager
+def _turn(folder: Path | None) -> Iterator[None]:
+    """Wait until no other process compiles: it may be what this one is about to."""
+    with ExitStack() as held:
+        # The folder itself is what is locked. Where that cannot be, both compile.
+        with suppress(OSError):
+            if folder is not None:
+                descriptor = os.open(folder, os.O_RDONLY)
+                held.callback(os.close, descriptor)
+                fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+
+
+def _find(folder: Path | None, key: str) -> Path | None:
     """Find an entry that is what its name says; clear away what only pretends to be."""
+    if folder is None:
+        return None
     for entry in folder.glob(f"{key}-*.so"):
         with suppress(OSError):
             genuine = (

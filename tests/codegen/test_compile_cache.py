@@ -10,6 +10,7 @@
 
 import ctypes
 import errno
+import fcntl
 import json
 import os
 import shutil
@@ -62,12 +63,19 @@ def test_compiled_once_with_one_line_on_stderr(cache, capfd):
     assert cache.stat().st_mode & 0o077 == 0
 
 
-def test_processes_that_start_at_once_all_get_it(cache):
-    processes = [
-        subprocess.Popen([sys.executable, "-c", LOAD], stdout=subprocess.PIPE, text=True)
-        for _ in range(4)
-    ]
-    assert [process.communicate(timeout=60)[0] for process in processes] == ["42\n"] * 4
+def test_of_processes_that_start_at_once_one_compiles_and_all_get_it(cache):
+    start = [sys.executable, "-c", f"print('asks', flush=True)\n{LOAD}"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    cache.mkdir(mode=0o700)
+    # Held as by one that compiles, until all have come to ask.
+    descriptor = os.open(cache, os.O_RDONLY)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+    processes = [subprocess.Popen(start, **pipes) for _ in range(3)]
+    assert [process.stdout.readline() for process in processes] == ["asks\n"] * 3
+    os.close(descriptor)
+    ended = [process.communicate(timeout=60) for process in processes]
+    assert [answer for answer, _ in ended] == ["42\n"] * 3
+    assert sum("compiling" in said for _, said in ended) == 1
     assert len(list(cache.glob("*.so"))) == 1
 
 
@@ -167,6 +175,7 @@ def test_an_entry_that_cannot_be_loaded_from_the_cache_is_loaded_from_elsewhere(
     assert answer() == 42
 
 
+@pytest.mark.usefixtures("unoptimised")
 @pytest.mark.parametrize("harm", ["nothing can be loaded", "nothing can be written"])
 def test_where_no_folder_will_do_the_controller_flies_interpreted(cache, monkeypatch, harm, capfd):
     if harm == "nothing can be loaded":

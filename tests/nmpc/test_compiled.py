@@ -104,12 +104,14 @@ def test_a_clearance_row_gives_way_once_its_multiplier_would_exceed_the_linear_p
             np.testing.assert_allclose(solution.du, slack - 1.0, atol=1e-6)
 
 
+@pytest.mark.usefixtures("unoptimised")
 @pytest.mark.parametrize("name", ["octo", "quad", "laas"])
 def test_other_vehicles(name):
     config = ControllerConfig(vehicle=Vehicle.preset("vehicle", name), tightening="gradient")
     compare_from(config, config.helix.initial_state(config.tower, config.vehicle), steps=8)
 
 
+@pytest.mark.usefixtures("unoptimised")
 @pytest.mark.parametrize("horizon", [2, 5, 10, 40])
 def test_other_horizons(horizon):
     config = ControllerConfig(horizon=horizon, tightening="gradient")
@@ -118,6 +120,7 @@ def test_other_horizons(horizon):
     compare_from(config, x, steps=4)
 
 
+@pytest.mark.usefixtures("unoptimised")
 @pytest.mark.parametrize("iteration", [CompiledIteration, InterpretedIteration])
 def test_rounding_decides_no_plan_where_a_margin_is_zero_by_symmetry(iteration):
     config = ControllerConfig(horizon=10, tightening="gradient")

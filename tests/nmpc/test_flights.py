@@ -37,6 +37,7 @@ def flights():
         return dict(zip(cases, pool.map(_fly, cases), strict=True))
 
 
+@pytest.mark.slow
 def test_no_flight_diverges(flights):
     for (name, _), log in flights.items():
         scenario = SCENARIOS[name]
@@ -46,6 +47,7 @@ def test_no_flight_diverges(flights):
         assert not log.failed.any(), name
 
 
+@pytest.mark.slow
 def test_tilt_and_rotor_spread_do_not_grow(flights):
     for (name, mode), log in flights.items():
         tilt = np.abs(log.x[:, 3:5]).max(axis=1)
@@ -58,17 +60,20 @@ def test_tilt_and_rotor_spread_do_not_grow(flights):
             assert max(later) < 1.3 * first + slack, (name, mode)
 
 
+@pytest.mark.slow
 def test_robust_never_violates_the_clearance(flights):
     for (name, mode), log in flights.items():
         if mode == "robust":
             assert log.d_T.min() >= 0.2, name
 
 
+@pytest.mark.slow
 def test_nominal_violates_in_some_of_the_random_flights(flights):
     violated = [log.d_T.min() < 0.2 for (_, mode), log in flights.items() if mode == "nominal"]
     assert 4 <= sum(violated) <= 16
 
 
+@pytest.mark.slow
 def test_nominal_residuals_have_the_quartiles_of_fig_2(flights):
     residual = np.concatenate(
         [

@@ -68,6 +68,7 @@ def test_its_derivatives_are_those_of_its_formula():
     np.testing.assert_allclose(CONFIG.helix.clearance(t, CONFIG.tower), 0.4, atol=1e-12)
 
 
+@pytest.mark.usefixtures("unoptimised")
 @pytest.mark.parametrize("mode", ["nominal", "robust"])
 def test_both_iterations_plan_the_same_along_it(mode):
     compiled = Controller(CONFIG, mode, CompiledIteration(CONFIG))
@@ -81,6 +82,7 @@ def test_both_iterations_plan_the_same_along_it(mode):
         x = one.x_plan[1]
 
 
+@pytest.mark.usefixtures("unoptimised")
 def test_it_is_flown():
     log = fly(SCENARIO, Controller(CONFIG, "nominal", CompiledIteration(CONFIG)), 3.0)
     reference = SCENARIO.helix.at(log.t, SCENARIO.tower)

@@ -72,6 +72,7 @@ def test_a_controller_made_for_another_world_is_refused(scenario, told):
         fly(Scenario(**scenario), Controller(), 0.1)
 
 
+@pytest.mark.usefixtures("unoptimised")
 def test_a_controller_flies_at_its_own_sampling_time_and_no_other():
     controller = Controller(ControllerConfig(sampling_time_s=0.05))
 

@@ -49,6 +49,7 @@ def cheap(one_worker, monkeypatch):
         monkeypatch.delitem(UNREPORTED, name)
 
 
+@pytest.mark.slow
 def test_a_search_that_was_killed_goes_on_as_if_it_had_not_been(cheap, tmp_path, monkeypatch):
     base = Study(trials=1, duration_s=0.3, seed=4)
     whole = calibrate(base, "both", 4, tmp_path / "whole", 1)

@@ -46,6 +46,7 @@ def text_without_times(folder):
     return [line.rsplit(",", len(TIMES))[0] for line in lines]
 
 
+@pytest.mark.slow
 def test_four_threads_two_processes_and_one_thread_give_the_same_file(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "LARGEST_CHUNK", 1)
     two_processes, in_threads = tmp_path / "processes", (1, 4)
@@ -81,6 +82,7 @@ def test_what_a_worker_flew_before_does_not_matter():
     }
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment_it_goes_on_and_loses_no_finished_trial(flown, tmp_path):
     folder = tmp_path / "out"
     killed = subprocess.Popen(
@@ -108,6 +110,7 @@ def test_killed_at_any_moment_it_goes_on_and_loses_no_finished_trial(flown, tmp_
     assert without_times(ended) == without_times(json.loads((flown / "summary.json").read_text()))
 
 
+@pytest.mark.slow
 def test_interrupted_by_the_whole_terminal_it_says_so_in_one_line(tmp_path):
     trials = tmp_path / "out" / "trials.csv"
     interrupted = subprocess.Popen(
@@ -159,6 +162,7 @@ def scheduler(tmp_path):
         process.wait()
 
 
+@pytest.mark.slow
 def test_a_running_scheduler_gives_the_same_rows_even_if_a_worker_is_killed(
     flown, scheduler, tmp_path
 ):

@@ -25,7 +25,10 @@ FLIGHTS = ("flight.csv", "guard.csv")
 COMPILER = shutil.which("cc")
 STACK_BYTES = 64 * 1024
 """What gtmr.h says is enough; here the program's own stack counts as well."""
-pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler, cc")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(COMPILER is None, reason="there is no C compiler, cc"),
+]
 
 
 def has_avx2():

@@ -117,6 +117,7 @@ def reproduced(tmp_path_factory):
         return folder, reproduce(Study(seed=2), SHORT, folder, n_workers=2)
 
 
+@pytest.mark.slow
 def test_table_and_figures_are_there_as_png_and_pdf(reproduced):
     folder, results = reproduced
 
@@ -126,6 +127,7 @@ def test_table_and_figures_are_there_as_png_and_pdf(reproduced):
     assert json.loads((folder / RESULTS_FILE).read_text()) == json.loads(json.dumps(results))
 
 
+@pytest.mark.slow
 def test_the_report_needs_nothing_else_and_names_the_paper(reproduced):
     text = (reproduced[0] / REPORT_FILE).read_text(encoding="utf-8")
 
@@ -136,6 +138,7 @@ def test_the_report_needs_nothing_else_and_names_the_paper(reproduced):
     assert "paper" in text
 
 
+@pytest.mark.slow
 def test_the_report_in_a_browser_draws_all_and_asks_for_nothing(reproduced):
     pytest.importorskip("websockets.sync.client", reason="the client of Chromium is not installed")
     from support import chromium
@@ -166,6 +169,7 @@ def test_the_report_in_a_browser_draws_all_and_asks_for_nothing(reproduced):
     assert not complaints
 
 
+@pytest.mark.slow
 def test_started_again_it_flies_what_is_missing_alone(reproduced, tmp_path, monkeypatch):
     # Drawing takes longer than all else, and is looked at elsewhere.
     for drawing in ("save", "write_figures", "write_page"):
@@ -191,6 +195,7 @@ def test_started_again_it_flies_what_is_missing_alone(reproduced, tmp_path, monk
     assert flown.read_text().splitlines()[-1].split(",")[column] == lost
 
 
+@pytest.mark.slow
 def test_eps_s_moves_the_robust_flights_alone(reproduced):
     flown = {row["name"]: row for row in reproduced[1]["variants"]}
     base, changed = flown["as it is"], flown["ε_s = 0.09 m"]
@@ -201,6 +206,7 @@ def test_eps_s_moves_the_robust_flights_alone(reproduced):
     assert more == pytest.approx(0.089, abs=0.003)
 
 
+@pytest.mark.slow
 def test_tables_beside_the_report_are_those_of_the_results(reproduced):
     folder, results = reproduced
     text = (folder / SENSITIVITY_FILE).read_text(encoding="utf-8")
@@ -288,6 +294,7 @@ def test_two_controllers_stand_side_by_side():
     )
 
 
+@pytest.mark.slow
 def test_the_command_beside_fig_1_flies_it(reproduced, gtmr, tmp_path):
     folder, results = reproduced
     (claim,) = [c for c in claims(read_study(folder), results) if "wind of Fig. 1" in c.claim]
