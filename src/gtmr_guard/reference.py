@@ -136,7 +136,7 @@ class ReferenceGuard:
         self._zone_s = self._zone_s + dt if lingers else 0.0
         # Where it would come to rest if it began to brake now, and its push inward went on until
         # that takes effect.
-        inward = min(outward @ self._thrust + outward @ self.d, 0.0)
+        inward = min(float(outward @ self._thrust + outward @ self.d), 0.0)
         v_then = v_r + k.reaction_s * inward
         stop = clearance + 0.5 * k.reaction_s * (v_r + v_then)
         stop -= v_then * v_then / (2.0 * k.brake_m_s2)
