@@ -42,6 +42,7 @@ from gtmr_msgs_py.node.listening import Info, listen, received_ns, take_what_arr
 from gtmr_msgs_py.node.parameter_events import PARAMETER_EVENTS, ParameterFetch, own_parameters
 from gtmr_msgs_py.node.parameters import FrameParameters, ModelParameters
 from gtmr_msgs_py.node.process import run
+from gtmr_msgs_py.node.silence import Silence
 from gtmr_msgs_py.node.suite_node import SuiteNode
 from gtmr_msgs_py.wire import stamps
 from gtmr_msgs_py.wire.drops import Drops
@@ -105,6 +106,8 @@ class WatchedVehicle:
         self.residual = self.topic(topics.CLEARANCE_RESIDUAL).publisher(node)
         self.order = StampOrder()
         """Of the odometry."""
+        self.silence: Silence | None = None
+        """Whether its odometry has stopped, while the node listens."""
         self.towers = TowerAgreement()
         """What the nodes that fly it take for the tower."""
         self.warned: list[str] = []
@@ -175,6 +178,9 @@ class MonitorNode(SuiteNode):
         wall = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose, clock=wall)
         for vehicle in self._vehicles:
+            vehicle.silence = Silence(
+                self, vehicle.odometry_name, partial(self._diagnose_vehicle, vehicle)
+            )
             listen(self, vehicle.topic(topics.ODOM), partial(self._on_odometry, vehicle))
         listen(self, PARAMETER_EVENTS, self._on_parameter_event)
         self._fetches = [
@@ -256,6 +262,8 @@ class MonitorNode(SuiteNode):
         came_ns = received_ns(info)
         self._numbers.take(vehicle.odometry_name, self._number(vehicle.odometry_name, info))
         self._recording.write(vehicle.odometry_name, data, came_ns, info["source_timestamp"])
+        if vehicle.silence is not None:
+            vehicle.silence.heard()
         try:
             self._watch(vehicle, data, came_ns)
         except MessageError as error:
@@ -321,6 +329,9 @@ class MonitorNode(SuiteNode):
         if vehicle.gaps.count or self._numbers.lost:
             level = max(level, Level.WARN)
             message += "; not everything was heard"
+        if vehicle.silence is not None and vehicle.silence.silent:
+            level = Level.WARN if level is Level.OK else level
+            message += "; odometry has stopped"
         if vehicle.late:
             message += "; some odometry came late"
         vehicle.towers.take(
