@@ -38,6 +38,8 @@ START = Helix().initial_state(Tower(), Vehicle.paper())
 NOW_NS = 10**10
 TICK_NS = 25_000_000
 U = np.zeros((20, 6))
+INFO = dict.fromkeys(("received_timestamp", "source_timestamp", "publication_sequence_number"), 0)
+"""What the middleware tells of a message."""
 XI = np.tile(START[ROTORS], (21, 1))
 
 
@@ -57,7 +59,7 @@ class Hearing:
         subscriptions = [s for s in self.node.subscriptions if s.topic_name == name]
         assert subscriptions, name
         for subscription in subscriptions:
-            info = {"received_timestamp": 0, "source_timestamp": 0}
+            info = dict(INFO)
             wants_info = len(signature(subscription.callback).parameters) == 2
             subscription.callback(data, *[info] * wants_info)
 
@@ -128,7 +130,7 @@ def test_nothing_that_is_said_on_any_topic_ends_a_callback_with_an_exception(hea
     good = serialize_message(Clock())
     for subscription in list(node.node.subscriptions):
         for kind in MALFORMED.values():
-            info = [{"received_timestamp": 0, "source_timestamp": 0}]
+            info = [dict(INFO)]
             count = len(signature(subscription.callback).parameters)
             subscription.callback(kind(good + bytes(40)), *info[: count - 1])
     assert node.dropped()["undecodable"] > 0
