@@ -34,6 +34,8 @@ WRITTEN = {
     "export-c": ["export-c"],
     "report --out": ["report", "no-bag", "--out"],
     "replay --json": ["replay", "no-bag", "--json"],
+    "faults --json": ["faults", "--quick", "--json"],
+    "recover --out": ["recover", "no-bag", "--out"],
     "replay --report": ["replay", "no-bag", "--report"],
     "recover --out": ["recover", "no-bag", "--out"],
     "recover --json": ["recover", "no-bag", "--out", "new", "--json"],
