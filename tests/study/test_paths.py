@@ -35,7 +35,6 @@ WRITTEN = {
     "report --out": ["report", "no-bag", "--out"],
     "replay --json": ["replay", "no-bag", "--json"],
     "faults --json": ["faults", "--quick", "--json"],
-    "recover --out": ["recover", "no-bag", "--out"],
     "replay --report": ["replay", "no-bag", "--report"],
     "recover --out": ["recover", "no-bag", "--out"],
     "recover --json": ["recover", "no-bag", "--out", "new", "--json"],
