@@ -9,6 +9,7 @@
 """A replay gives what the node gave, and says what it had to guess."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ pytest.importorskip("rclpy")
 
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from scipy.spatial.transform import Rotation
+from support.damage import damage_chunks
 from support.recorded_flight import recorded
 from support.written_bags import ODOMETRY, SAMPLE, STORE, copied, new
 
@@ -208,6 +210,21 @@ def test_a_bag_from_elsewhere_is_answered_and_what_is_guessed_is_said(gtmr, fore
         assert said in run.stdout
     # On the reference, at hover: there is little to correct.
     assert result["replayed"]["largest_foreseen_residual_m"] == pytest.approx(-0.15, abs=0.02)
+
+
+def test_a_damaged_bag_is_replayed_behind_the_damage_and_says_what_it_covers(gtmr, tmp_path):
+    bag = damage_chunks(shutil.copytree(SAMPLE, tmp_path / "bag"), 5)
+
+    run = gtmr("replay", bag, "--json", tmp_path / "replay.json")
+
+    assert run.returncode == 0
+    assert "warning: bag: covers" in run.stderr
+    result = json.loads((tmp_path / "replay.json").read_text())
+    coverage = result["coverage"]
+    assert coverage["causes"] == {"damaged chunk": 1}
+    assert coverage["lost_messages"]["/odom"] > 0
+    assert coverage["covered_s"] < coverage["expected_s"] == pytest.approx(10.0)
+    assert result["steps"] == 401 - coverage["lost_messages"]["/odom"]
 
 
 def test_a_recording_begun_late_says_which_parameters_it_guessed(gtmr, tmp_path):
