@@ -39,6 +39,61 @@ Written by `docs/interfaces.py` from the code; a test holds the two together.
 Names are relative, so that namespaces and remaps work, unless they start with a slash. Frames
 are `map` (ENU) and `base_link` (FLU).
 """
+LAUNCH_FILES = """\
+## Launch files
+
+`inspection.launch.py` flies, `compare.launch.py` flies nominal and robust side by side,
+`replay.launch.py bag:=...` plays a bag to controller and monitor. `--show-args` lists what each
+takes; what is not given is left to the parameter file.
+
+| argument | in | meaning |
+| --- | --- | --- |
+| `params_file:=` | all | `paper`, `wind`, `worst-case`, or the path of a .yaml file |
+| `mode:=` | inspection, replay | mode of the controller at the start |
+| `vehicle:=` | all | name of a preset, or path of a .yaml file |
+| `bag:=` | all | new folder to record into; for replay the bag to play |
+| `record:=` | replay | new folder to record into |
+| `rate:=`, `loop:=` | replay | how many times as fast; whether to begin again |
+| `lockstep:=` | inspection | wait for the command of every odometry: always the same flight |
+| `zeta:=`, `sample_zeta:=` | inspection, compare | true mismatch and wind bias, or drawn |
+| `seed:=` | inspection, compare | of gusts, and of what is drawn |
+| `real_time_factor:=` | inspection, compare | simulated per wall time |
+| `duration_s:=` | inspection, compare | end of the flight [s]; 0 is never |
+| `namespace:=`, `log_level:=` | all | of all nodes |
+| `respawn:=3` | all | how often a controller or monitor that failed is started again |
+| `managed:=true` | all | lifecycle services; nodes are configured and activated too |
+| `rviz:=true`, `foxglove:=true` | all | viewers |
+| `address:=` | all | where foxglove_bridge listens; 127.0.0.1 if left out |
+
+Every process ends with the launch, the launch with the first node that ends for good, and with
+exit code 1 if that failed. Who can reach the nodes is in [security.md](security.md).
+"""
+DIAGNOSTICS = """\
+Once a second, and at once when something stops or someone else takes charge. Figures beside those
+of the controller, the flight and the bag:
+
+- `dropped_undecodable` (all): bytes that are no such message, or whose numbers mean nothing.
+- `dropped_frame` (nmpc, monitor): odometry of other frames than `world_frame` and `body_frame`.
+- `dropped_vehicle` (nmpc, sim): other rotors, by number or name.
+- `dropped_late` (all): behind what came before. What is at most 0.5 s late the monitor counts as
+  `late_odometry`, and uses.
+- `dropped_future` (all): more than 1 s ahead of what came before, unless three in a row agree.
+- `dropped_jump` (nmpc): odometry that no vehicle can have come to, unless it lasts 0.1 s.
+- `callback_errors` (all): messages at which a node failed, and went on; the log says where.
+- `delay_s` (nmpc): age of the odometry by simulated time, or else the computer's; `unknown` if its
+  stamps are of neither clock, or of one of several simulations.
+- `withheld_commands` (nmpc): steps that sent no command, for the reason in the message: odometry
+  older than `max_delay_s`, a solver that failed for more than 0.1 s, a vehicle that is inverted or
+  too fast.
+- `guard`, `guard_cause`, `guard_time_s` (sim): whether the guard is in charge, why, and for how
+  long it was.
+
+A message of each cause is warned of at once, and then every 5 s. Time that goes back by more than
+0.5 s, or to zero, is another flight once three messages in a row agree. Odometry or commands that
+came at 20 Hz or faster and stop are told within 0.2 s by a wall clock: deadlines of the middleware
+would shut out every publisher that does not promise one. Where the simulator waits for commands,
+in lockstep, `delay_s` is 0 at any real-time factor.
+"""
 PARAMETERS = """\
 A parameter marked *in flight* may change while the node runs, by `ros2 param set`, its service,
 or several at once by `set_parameters_atomically`: it counts from the next controller or
@@ -58,7 +113,7 @@ no jump. `tower.min_clearance_m` is known to each node by itself: set it in all 
 def page() -> str:
     """Return the whole page, in Markdown."""
     parts = [INTRODUCTION, "## Topics\n", _topics(), "## Services\n", _services()]
-    parts += ["## Parameters\n", PARAMETERS]
+    parts += [LAUNCH_FILES, "## Diagnostics\n", DIAGNOSTICS, "## Parameters\n", PARAMETERS]
     for name, (node, model) in NODES.items():
         parts += [
             f"### `{name}`\n",

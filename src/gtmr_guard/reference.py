@@ -23,6 +23,8 @@ MAX_DISTURBANCE_M_S2 = 4.0
 """Bound on the estimated disturbing acceleration [m/s^2]."""
 MAX_ANGULAR_DISTURBANCE_RAD_S2 = 10.0
 """Bound on the estimated disturbing angular acceleration [rad/s^2]."""
+MAX_V_M_S, MAX_OMEGA_RAD_S = 30.0, 20.0
+"""Bounds on the estimates of velocity and body rate; beyond, none is recovered [m/s], [rad/s]."""
 JUMP_M, JUMP_RAD = 0.5, 1.0
 """Innovations that no vehicle can make between two ticks: the estimate is moved, not corrected."""
 NONE, UNUSABLE, ENDED, TILT, SPEED, ZONE = range(6)
@@ -32,6 +34,8 @@ UPSIDE_DOWN = 0.5
 than whose negative is upside down [-]."""
 MAX_TURN_RAD_S = 3.0
 """Most body rate that it asks for [rad/s]."""
+ROUNDING_HZ2 = 1e-6
+"""Change of a squared rotor speed that is none [Hz^2]."""
 MIN_LIFT = 0.3
 """Least part of the weight that the wanted force lifts [-]."""
 
@@ -105,7 +109,7 @@ class ReferenceGuard:
                 self.d_omega = limited(
                     self.d_omega + gamma / (dt * dt) * e, MAX_ANGULAR_DISTURBANCE_RAD_S2
                 )
-        self.omega, self._torque = omega, wrench[3:]
+        self.omega, self._torque = limited(omega, MAX_OMEGA_RAD_S), wrench[3:]
 
         thrust = self.R @ wrench[:3] / k.mass_kg
         acceleration = 0.5 * (self._thrust + thrust) - GRAVITY + self.d
@@ -121,7 +125,7 @@ class ReferenceGuard:
                 self._p = p_before + alpha * e
                 v = v + beta / dt * e
                 self.d = limited(self.d + gamma / (dt * dt) * e, MAX_DISTURBANCE_M_S2)
-        self.v, self._thrust = v, thrust
+        self.v, self._thrust = limited(v, MAX_V_M_S), thrust
 
     def _decide(self, dt: float, u_due: Array, overdue_s: float, age_s: float) -> None:
         k = self._is
@@ -136,7 +140,7 @@ class ReferenceGuard:
         self._zone_s = self._zone_s + dt if lingers else 0.0
         # Where it would come to rest if it began to brake now, and its push inward went on until
         # that takes effect.
-        inward = min(outward @ self._thrust + outward @ self.d, 0.0)
+        inward = min(float(outward @ self._thrust + outward @ self.d), 0.0)
         v_then = v_r + k.reaction_s * inward
         stop = clearance + 0.5 * k.reaction_s * (v_r + v_then)
         stop -= v_then * v_then / (2.0 * k.brake_m_s2)
@@ -241,9 +245,9 @@ def within(base: Array, more: Array, low: float, high: float) -> Array:
     """Add as much of what is asked for more as stays between the bounds."""
     share = 1.0
     for b, m in zip(base, more, strict=True):
-        if m > 0.0 and b + share * m > high:
+        if m > ROUNDING_HZ2 and b + share * m > high:
             share = max(0.0, (high - b) / m)
-        elif m < 0.0 and b + share * m < low:
+        elif m < -ROUNDING_HZ2 and b + share * m < low:
             share = max(0.0, (low - b) / m)
     return base + share * more
 

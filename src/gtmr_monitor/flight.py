@@ -102,6 +102,8 @@ class Flight:
     """What was to be followed."""
     coverage: Coverage
     """What of the flight is recorded."""
+    guarded: tuple[tuple[float, float], ...] | None = None
+    """From when to when [s] the guard was in charge, in order; None if that was not recorded."""
     zeta: tuple[float, ...] | None = None
     """The true mismatch and wind bias, eq. (4), 9 numbers; None if not recorded."""
     gust: str | None = None
@@ -155,6 +157,11 @@ class Flight:
         if not self.solve_ms.size or np.isnan(self.deadline_ms):
             return None
         return int((self.solve_ms > self.deadline_ms).sum())
+
+    @property
+    def guard_time_s(self) -> float | None:
+        """For how long the guard was in charge [s]; None if that was not recorded."""
+        return None if self.guarded is None else sum(end - begin for begin, end in self.guarded)
 
     @property
     def residual_statistics(self) -> ResidualStatistics:

@@ -31,6 +31,7 @@ from gtmr_model import ConfigError, Tower
 from gtmr_monitor.agreement import NAMES, TowerAgreement
 from gtmr_monitor.bag.format import BagError, without_tail
 from gtmr_monitor.bag.metadata import OfferedQos
+from gtmr_monitor.hearing import Gaps, Numbers
 from gtmr_monitor.recorder import Recorder
 from gtmr_monitor.residual import ResidualWatch
 from gtmr_msgs_py import topics
@@ -41,6 +42,7 @@ from gtmr_msgs_py.node.listening import Info, listen, received_ns, take_what_arr
 from gtmr_msgs_py.node.parameter_events import PARAMETER_EVENTS, ParameterFetch, own_parameters
 from gtmr_msgs_py.node.parameters import FrameParameters, ModelParameters
 from gtmr_msgs_py.node.process import run
+from gtmr_msgs_py.node.silence import Silence
 from gtmr_msgs_py.node.suite_node import SuiteNode
 from gtmr_msgs_py.wire import stamps
 from gtmr_msgs_py.wire.drops import Drops
@@ -89,11 +91,14 @@ class WatchedVehicle:
     """
 
     def __init__(self, node: SuiteNode, namespace: str) -> None:
+        self.node = node
         self.namespace = namespace
         self.watch = ResidualWatch()
         """The residual since the flight began."""
         self.late = 0
         """How many odometry messages came behind newer ones."""
+        self.gaps = Gaps()
+        """In the odometry since the flight began."""
         self.drops = Drops(lambda reason: node.warn(f"{self.odometry_name}: {reason}"))
         """Its odometry that could not be used."""
         self.odometry_name = node.resolve_topic_name(self.topic(topics.ODOM).name)
@@ -101,6 +106,8 @@ class WatchedVehicle:
         self.residual = self.topic(topics.CLEARANCE_RESIDUAL).publisher(node)
         self.order = StampOrder()
         """Of the odometry."""
+        self.silence: Silence | None = None
+        """Whether its odometry has stopped, while the node listens."""
         self.towers = TowerAgreement()
         """What the nodes that fly it take for the tower."""
         self.warned: list[str] = []
@@ -126,7 +133,13 @@ class WatchedVehicle:
             raise self.order.refusal(place, stamp_ns)
         if place is Place.RESET:
             ended, self.watch, self.late = self.watch, ResidualWatch(), 0
+            self.gaps = Gaps()
         self.late += place is Place.LATE
+        if place is not Place.LATE and self.gaps.take(stamp_ns):
+            self.node.warn(
+                f"{self.odometry_name}: gaps so far: {self.gaps.count}, "
+                f"{self.gaps.missing_s:.2f} s in all"
+            )
         self.watch.update(residual_m, late=place is Place.LATE)
         return ended
 
@@ -147,10 +160,15 @@ class MonitorNode(SuiteNode):
         super().__init__("monitor", managed)
         self._settings = ModelParameters(self, MonitorParameters, self.PRESETS, self.DYNAMIC)
         self._recording = Recorder("", {}, self._say)
+        self._numbers = Numbers()
 
     def allocate(self) -> None:
         """Open the bag."""
         self._vehicles = [WatchedVehicle(self, name) for name in self._settings.value.namespaces]
+        self._numbers = Numbers()
+        self._of_one = {
+            name for name, topic in self._topics().items() if len(topic.publishers) == 1
+        }
         self._recording = self._record_into(self._settings.value.bag)
         self._status = topics.DIAGNOSTICS.publisher(self)
 
@@ -160,6 +178,9 @@ class MonitorNode(SuiteNode):
         wall = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose, clock=wall)
         for vehicle in self._vehicles:
+            vehicle.silence = Silence(
+                self, vehicle.odometry_name, partial(self._diagnose_vehicle, vehicle)
+            )
             listen(self, vehicle.topic(topics.ODOM), partial(self._on_odometry, vehicle))
         listen(self, PARAMETER_EVENTS, self._on_parameter_event)
         self._fetches = [
@@ -218,7 +239,12 @@ class MonitorNode(SuiteNode):
                 listen(self, topic, partial(self._on_message, name))
 
     def _on_message(self, topic: str, data: bytes, info: Info) -> None:
+        self._numbers.take(topic, self._number(topic, info))
         self._recording.write(topic, data, received_ns(info), info["source_timestamp"])
+
+    def _number(self, topic: str, info: Info) -> int | None:
+        """Tell which of its publisher's messages it is; None where there are several of them."""
+        return info["publication_sequence_number"] if topic in self._of_one else None
 
     def _on_parameter_event(self, data: bytes, info: Info) -> None:
         self._on_message(PARAMETER_EVENTS.name, data, info)
@@ -234,7 +260,10 @@ class MonitorNode(SuiteNode):
 
     def _on_odometry(self, vehicle: WatchedVehicle, data: bytes, info: Info) -> None:
         came_ns = received_ns(info)
+        self._numbers.take(vehicle.odometry_name, self._number(vehicle.odometry_name, info))
         self._recording.write(vehicle.odometry_name, data, came_ns, info["source_timestamp"])
+        if vehicle.silence is not None:
+            vehicle.silence.heard()
         try:
             self._watch(vehicle, data, came_ns)
         except MessageError as error:
@@ -297,6 +326,12 @@ class MonitorNode(SuiteNode):
             message += "; some messages are not in the bag"
         if recording.resumed:
             message += "; what was before is in the bag"
+        if vehicle.gaps.count or self._numbers.lost:
+            level = max(level, Level.WARN)
+            message += "; not everything was heard"
+        if vehicle.silence is not None and vehicle.silence.silent:
+            level = Level.WARN if level is Level.OK else level
+            message += "; odometry has stopped"
         if vehicle.late:
             message += "; some odometry came late"
         vehicle.towers.take(
@@ -315,6 +350,9 @@ class MonitorNode(SuiteNode):
             "violations": watch.violations,
             "samples": watch.samples,
             "late_odometry": vehicle.late,
+            "odometry_gaps": vehicle.gaps.count,
+            "odometry_missing_s": vehicle.gaps.missing_s,
+            "messages_not_heard": self._numbers.lost.total(),
             **vehicle.drops.figures(),
             "dropped_beside_odometry": self.drops.counts.total(),
             "callback_errors": self.callback_errors,

@@ -17,9 +17,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from rclpy.clock import Clock
+from rclpy.clock import Clock as RosClock
 from rclpy.clock_type import ClockType
 from rclpy.publisher import Publisher
+from rosgraph_msgs.msg import Clock
 
 from gtmr_model.dynamics import ATTITUDE, POSITION, ROTORS
 from gtmr_msgs_py import topics
@@ -36,12 +37,18 @@ from gtmr_msgs_py.node import diagnostics
 from gtmr_msgs_py.node.diagnostics import Level
 from gtmr_msgs_py.node.parameters import FrameParameters, ModelParameters
 from gtmr_msgs_py.node.process import PROMPT, run
+from gtmr_msgs_py.node.silence import Silence
 from gtmr_msgs_py.node.suite_node import SuiteNode
 from gtmr_msgs_py.wire import stamps
+from gtmr_msgs_py.wire.fixed_cdr import stamp_of
 from gtmr_msgs_py.wire.order import StampOrder
+from gtmr_msgs_py.wire.reading import read
 from gtmr_nmpc.config import MODES, ControllerConfig, Mode
 from gtmr_nmpc.controller import Controller
+from gtmr_nmpc.online.delay import Delay
+from gtmr_nmpc.online.fitness import Fitness
 from gtmr_nmpc.online.performance import Performance, standing
+from gtmr_nmpc.online.plausibility import Plausibility
 from gtmr_nmpc.online.schedule import Due, Schedule
 from gtmr_nmpc.solution import Solution
 
@@ -68,6 +75,9 @@ class NmpcParameters(ControllerConfig, FrameParameters):
     max_stamp_difference_s: float = Field(0.0, ge=0.0, le=0.1)
     """By how much the stamps of odometry and rotor states that are taken together may differ [s];
     the simulator gives both the same."""
+    max_delay_s: float = Field(0.03, ge=0.0, le=10.0)
+    """Oldest odometry that is acted upon, by the clock that its stamps are of [s]; of an older one
+    no command is sent, and past the last plan the guard takes charge."""
     recorders: int = Field(0, ge=0, le=10)
     """How many recorders, such as the monitor, must listen before the first step."""
 
@@ -82,6 +92,7 @@ class NmpcNode(SuiteNode):
     """Parameters that name a preset or a file, with their defaults."""
     DYNAMIC: ClassVar = {
         "eps_s_m",
+        "max_delay_s",
         "max_stamp_difference_s",
         "mode",
         "slack_l1",
@@ -116,6 +127,10 @@ class NmpcNode(SuiteNode):
         self._rotor_states_order = StampOrder()
         self._last_command = b""
         self._begins_again = False
+        self._plausibility = Plausibility(config.vehicle)
+        self._delay = Delay()
+        self._fitness = Fitness()
+        self._withheld, self._withheld_steps = "", 0
         self._steps_reported = 0
         self._published_ns: dict[Publisher, int] = {}
 
@@ -132,8 +147,10 @@ class NmpcNode(SuiteNode):
         config = self._settings.value
         self._reconfigure(config)
         self.create_timer(
-            DIAGNOSTICS_PERIOD_S, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME)
+            DIAGNOSTICS_PERIOD_S, self._diagnose, clock=RosClock(clock_type=ClockType.STEADY_TIME)
         )
+        self._silence = Silence(self, "odometry", self._diagnose)
+        topics.CLOCK.subscription(self, self._on_clock, topics.NEWEST, raw=True)
         topics.ODOM.subscription(self, self._on_odometry, topics.NEWEST, raw=True)
         topics.ROTOR_STATES.subscription(self, self._on_rotor_states, topics.NEWEST, raw=True)
         self.get_logger().info(
@@ -164,11 +181,20 @@ class NmpcNode(SuiteNode):
         # What was prepared is of no use any more; now it costs no time in the next step.
         self._controller.prepare(stamps.seconds(self._schedule.next_ns))
 
+    def _on_clock(self, data: bytes) -> None:
+        stamp_ns = stamp_of(data)
+        self._delay.simulated_ns = (
+            stamps.decode(read(data, Clock).clock) if stamp_ns is None else stamp_ns
+        )
+
     def _on_odometry(self, data: bytes) -> None:
         self._arrival = time.perf_counter()
+        self._silence.heard()
         stamp_ns, rigid_body = odometry.unpack(data, self._settings.value.frames)
         if self._odometry_order.admit(stamp_ns):
             self._begins_again = True
+            self._plausibility.reset()
+        self._plausibility.check(stamp_ns, rigid_body)
         self._odometry = stamp_ns, rigid_body
         self._step_if_due()
 
@@ -184,25 +210,63 @@ class NmpcNode(SuiteNode):
         if state is None or not self._recorders_listen():
             return
         stamp_ns, x = state
+        delay_s = self._measured_delay_s(stamp_ns)
+        if delay_s > self._settings.value.max_delay_s:
+            self._withhold(f"odometry is {delay_s:.3g} s late")
+            return
         due, self._begins_again = self._schedule.admit(stamp_ns, self._begins_again), False
         if due is Due.NOTHING:
             return
         if due is Due.REPEAT:
-            self._rotor_command.publish(self._last_command)
+            if self._last_command:
+                self._rotor_command.publish(self._last_command)
             return
         if due is Due.RESTART:
             self._controller.reset()
         solution = self._controller.step(stamps.seconds(self._schedule.time_ns), x)
-        self._last_command = rotor_command.pack(
-            stamp_ns, self._schedule.period_ns, solution.x_plan[:, ROTORS], solution.u_plan
-        )
-        self._rotor_command.publish(self._last_command)
+        self._send(stamp_ns, x, solution)
         self._performance.add(solution, time.perf_counter() - self._arrival)
         self._publish_step(stamp_ns, solution)
         self._controller.prepare(stamps.seconds(self._schedule.next_ns))
         if due is Due.RESTART:
             self.tell_parameters()
         self._publish_scene(stamp_ns, solution)
+
+    def _send(self, stamp_ns: int, x: NDArray[np.float64], solution: Solution) -> None:
+        """Send the plan, unless it is not fit: then the guard takes charge past the last one."""
+        reason = self._fitness.reason(stamps.seconds(stamp_ns), x, solution)
+        if reason:
+            self._last_command = b""
+            self._withhold(reason)
+            return
+        self._last_command = rotor_command.pack(
+            stamp_ns, self._schedule.period_ns, solution.x_plan[:, ROTORS], solution.u_plan
+        )
+        self._rotor_command.publish(self._last_command)
+        if self._withheld:
+            self.get_logger().info("commands are sent again")
+            self._withheld = ""
+
+    def _withhold(self, reason: str) -> None:
+        """Say why no command is sent, at once where that is news."""
+        news, self._withheld = not self._withheld, reason
+        self._withheld_steps += 1
+        if news:
+            self.get_logger().error(f"no command is sent: {reason}")
+            self._diagnose()
+
+    def _measured_delay_s(self, stamp_ns: int) -> float:
+        """How late odometry is [s]; zero where that is not known."""
+        delay_s = self._delay.measure(stamp_ns, time.time_ns())
+        if delay_s is None:
+            return 0.0
+        if delay_s > self._settings.value.max_delay_s:
+            clock = self.resolve_topic_name(topics.CLOCK.name)
+            if self._delay.simulated_ns is not None and self.count_publishers(clock) > 1:
+                # Of several simulations nobody knows whose time it is.
+                self._delay.last_s = None
+                return 0.0
+        return delay_s
 
     def _take_state(self) -> Stamped | None:
         """Odometry and rotor states that belong together, once, whichever came first."""
@@ -278,6 +342,10 @@ class NmpcNode(SuiteNode):
         level, message = Level.OK, "in time"
         if not self._recorders_listen():
             level, message = Level.STALE, "waiting for a recorder"
+        elif self._silence.silent:
+            level, message = Level.STALE, "odometry has stopped"
+        elif self._withheld:
+            level, message = Level.ERROR, f"no command is sent: {self._withheld}"
         elif performance.steps == self._steps_reported:
             level, message = Level.STALE, "no odometry to act upon"
         elif performance.count("failed"):
@@ -297,6 +365,8 @@ class NmpcNode(SuiteNode):
                     "steps": performance.steps,
                     "deadline_misses": performance.deadline_misses,
                     "skipped_steps": self._schedule.skipped,
+                    "withheld_commands": self._withheld_steps,
+                    "delay_s": "unknown" if self._delay.last_s is None else self._delay.last_s,
                     **self.drops.figures(),
                     "callback_errors": self.callback_errors,
                     "softened_in_window": performance.count("softened"),

@@ -31,6 +31,7 @@ from gtmr_msgs_py.node import diagnostics
 from gtmr_msgs_py.node.diagnostics import Level
 from gtmr_msgs_py.node.parameters import FrameParameters, ModelParameters
 from gtmr_msgs_py.node.process import PROMPT, run
+from gtmr_msgs_py.node.silence import Silence
 from gtmr_msgs_py.node.suite_node import SuiteNode
 from gtmr_msgs_py.wire import stamps
 from gtmr_msgs_py.wire.message_error import MessageError
@@ -166,6 +167,7 @@ class SimNode(SuiteNode):
         self.create_timer(0.5 * RESEND_PERIOD_S, self._resend, clock=wall)
         self.create_timer(MARKERS_PERIOD_S, self._draw, clock=wall)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose, clock=wall)
+        self._silence = Silence(self, "rotor_command", self._diagnose, self._is_flying)
         topics.ROTOR_COMMAND.subscription(self, self._on_command, topics.NEWEST, raw=True)
         zeta = ", ".join(f"{value:.3g}" for value in scenario.zeta)
         self.get_logger().info(
@@ -189,6 +191,7 @@ class SimNode(SuiteNode):
         self._tick_if_unpaced()
 
     def _on_command(self, data: bytes) -> None:
+        self._silence.heard()
         scenario = self._settings.value
         plan = self._commands.unpack(data)
         if plan.step_ns != stamps.nanoseconds(scenario.sampling_time_s):
@@ -197,6 +200,10 @@ class SimNode(SuiteNode):
                 f"sampling_time_s = {scenario.sampling_time_s} s"
             )
         self._play(plan)
+
+    def _is_flying(self) -> bool:
+        session = self._session
+        return session.started and not (session.paused or session.over)
 
     def _play(self, plan: RotorPlan) -> None:
         first = not self._session.started
@@ -324,6 +331,8 @@ class SimNode(SuiteNode):
             message = "the flight is over"
         elif session.guard_active:
             level, message = Level.WARN, f"the guard is in charge: {session.guard_cause}"
+        elif self._silence.silent:
+            level, message = Level.WARN, "rotor_command has stopped"
         elif session.command_age_s > 2.0 * scenario.sampling_time_s:
             level, message = Level.WARN, "no new commands: playing the rest of the last plan"
         elif 0.0 <= held < PACE_HELD * scenario.real_time_factor:

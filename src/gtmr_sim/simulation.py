@@ -48,10 +48,12 @@ class Simulation:
         self._guard = None
         if scenario.guard == "retreat":
             # A controller that plans seldom may miss two plans as well.
-            age_s = max(GuardConfig().max_plan_age_s, 3.0 * plan_step_s)
-            self._guard = Guard(
-                scenario.vehicle, scenario.tower, GuardConfig(max_plan_age_s=age_s)
+            usual = GuardConfig()
+            config = GuardConfig(
+                max_plan_age_s=max(usual.max_plan_age_s, 3.0 * plan_step_s),
+                fresh_s=max(usual.fresh_s, 2.0 * plan_step_s),
             )
+            self._guard = Guard(scenario.vehicle, scenario.tower, config)
         self.reset()
 
     def reset(self) -> None:

@@ -318,6 +318,63 @@ def test_a_late_odometry_does_not_make_it_forget_a_violation(graph, earlier_ns):
     assert last["residual_m"] == pytest.approx(-0.2)
 
 
+def test_a_gap_in_the_odometry_is_told(graph):
+    with monitor() as process:
+        graph.await_monitor()
+        for k in (*range(20), *range(30, 40)):
+            graph.publish(k)
+        graph.wait_until(lambda: any(f["samples"] == 30 for f in figures(graph)))
+        assert "gaps so far: 1, 0.28 s in all" in stop(process)
+
+    last = figures(graph)[-1]
+    assert (last["odometry_gaps"], last["messages_not_heard"]) == (1, 0)
+    assert last["odometry_missing_s"] == pytest.approx(0.275)
+
+
+def test_a_monitor_that_is_held_up_misses_nothing(graph, tmp_path):
+    bag = tmp_path / "bag"
+    with monitor(f"bag:={bag}") as process:
+        graph.await_monitor()
+        graph.publish(0)
+        graph.wait_until(lambda: len(graph.residuals) == 1)
+        process.send_signal(signal.SIGSTOP)
+        for k in range(1, 800):
+            graph.publish(k)
+        process.send_signal(signal.SIGCONT)
+        graph.wait_until(lambda: len(graph.residuals) == 800)
+        graph.wait_until(lambda: figures(graph)[-1]["samples"] == 800)
+        stop(process)
+
+    assert figures(graph)[-1]["messages_not_heard"] == 0
+    coverage = read_flight(bag).coverage
+    assert (coverage.whole, coverage.covered_s) == (True, pytest.approx(799 * 0.025))
+
+
+def test_started_again_it_goes_on_in_the_same_bag_and_says_so(graph, tmp_path):
+    bag = tmp_path / "bag"
+    with monitor(f"bag:={bag}") as process:
+        graph.await_monitor()
+        for k in range(20):
+            graph.publish(k, position=(1.15, 0.0, 2.0))
+        graph.wait_until(lambda: len(graph.residuals) == 20)
+        stop(process)
+    graph.statuses.clear()
+    with monitor(f"bag:={bag}") as process:
+        graph.await_monitor()
+        for k in range(30, 50):
+            graph.publish(k, position=(1.3, 0.0, 2.0))
+        graph.wait_until(lambda: any(f["samples"] == 20 for f in figures(graph)))
+        told = graph.statuses[-1]
+        stop(process)
+
+    assert told.level == b"\x01"
+    assert "since this monitor was started; what was before is in the bag" in told.message
+    flight = read_flight(bag)
+    assert flight.residual_statistics["samples"] == 40
+    assert flight.residual_statistics["violated"]
+    assert [p.name for p in sorted(bag.iterdir())] == ["bag_0.mcap", "bag_1.mcap", "metadata.yaml"]
+
+
 def test_another_tower_than_that_of_the_vehicle_is_told(graph):
     def told(words):
         return any(s.level == b"\x01" and words in s.message for s in graph.statuses)

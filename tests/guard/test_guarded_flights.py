@@ -154,13 +154,17 @@ def test_a_session_tells_of_the_guard():
     assert session.guard_time_s > 0.0
 
 
-def test_a_controller_that_plans_seldom_may_miss_plans_as_well():
-    simulation = Simulation(Scenario(), 0.2)
+def test_a_controller_that_plans_seldom_may_miss_plans_and_gets_the_vehicle_back():
+    simulation = Simulation(Scenario(gust={"kind": "none"}), 0.2)
     simulation.command(0.0, np.zeros((20, 6)))
     simulation.advance(0.4)
     assert not simulation.guard_active
     simulation.advance(0.4)
     assert simulation.guard_active
+    for k in range(4, 7):
+        simulation.command(0.2 * k, np.zeros((20, 6)))
+        simulation.advance(0.2)
+    assert not simulation.guard_active
 
 
 def test_the_flight_log_says_when_it_was_in_charge():

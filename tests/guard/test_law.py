@@ -35,7 +35,7 @@ def start(vehicle, clearance_m=0.35):
     return x
 
 
-# Such noise lets a rounding grow to anything now and then: the same examples each time.
+# A rounding may decide now and then, as at a threshold: the same examples each time.
 @settings(max_examples=30, deadline=None, derandomize=True)
 @given(vehicle=st.sampled_from(sorted(VEHICLES)), seed=st.integers(0, 2**32 - 1))
 def test_c_and_numpy_decide_and_command_alike(vehicle, seed):
@@ -43,10 +43,10 @@ def test_c_and_numpy_decide_and_command_alike(vehicle, seed):
     numbers = parameters(vehicle, TOWER, GuardConfig())
     laws = CompiledGuard(numbers), ReferenceGuard(numbers)
     n, x = vehicle.n_rotors, start(vehicle)
+    x[3:6] = rng.uniform(-np.pi, np.pi, 3)
     for _ in range(60):
-        # Attitudes wander all around, positions to and fro about the tower.
         x[:3] += rng.normal(0.0, rng.choice([0.01, 0.05, 1.0], p=[0.5, 0.48, 0.02]), 3)
-        x[3:6] += rng.normal(0.0, 0.1, 3)
+        x[3:6] += rng.normal(0.0, 0.02, 3)
         x[12:] = np.clip(x[12:] + rng.normal(0.0, 1.0, n), 16.0, 100.0)
         measured = np.where(rng.random(len(x)) < 0.002, np.nan, x)
         u = rng.normal(0.0, 100.0, n) * rng.choice([1.0, np.nan, 1e3], p=[0.96, 0.02, 0.02])
@@ -56,7 +56,7 @@ def test_c_and_numpy_decide_and_command_alike(vehicle, seed):
             law.step(dt_s, measured, u, overdue_s, age_s) for law in laws
         )
         assert cause == expected_cause
-        np.testing.assert_allclose(ours, expected, rtol=1e-6, atol=1e-4)
+        np.testing.assert_allclose(ours, expected, rtol=1e-9, atol=1e-7)
 
 
 def test_without_a_compiler_numpy_flies_and_says_so(monkeypatch, capfd):

@@ -10,9 +10,9 @@
 
 import numpy as np
 import pytest
-from support.written_bags import SAMPLE, copied, flown
+from support.written_bags import SAMPLE, cdr, copied, flown, new
 
-from gtmr_monitor import BagError, read_flight
+from gtmr_monitor import BagError, BagMessage, read_flight
 
 CLEAR_M, TOO_CLOSE_M = 0.35, 0.10
 
@@ -84,6 +84,43 @@ def test_commands_and_rotor_speeds_out_of_order_keep_their_margins(tmp_path):
     assert mixed.rotor_speed_hz == pytest.approx(whole.rotor_speed_hz)
     # Margins bear no stamp: they belong to the commands as these were sent.
     assert sorted(mixed.margins.t) == pytest.approx(whole.margins.t)
+
+
+def with_guard(in_charge):
+    """The sample bag with a simulator that tells of its guard with every odometry, by its time."""
+
+    def tell(messages):
+        begin_ns = min(m.log_time_ns for m in messages if m.topic == "/odom")
+        for m in messages:
+            yield m
+            if m.topic == "/odom":
+                stamp = m.decode().header.stamp
+                now = in_charge(stamp.sec + 1e-9 * stamp.nanosec)
+                data = cdr(new("std_msgs/msg/Bool", bool(now)))
+                yield BagMessage("/guard", "std_msgs/msg/Bool", m.log_time_ns, begin_ns, data)
+
+    return lambda messages: list(tell(messages))
+
+
+@pytest.mark.parametrize(
+    ("in_charge", "spans"),
+    [
+        (lambda t: False, ()),
+        (lambda t: 2.0 <= t < 2.5 or 4.0 <= t < 4.25, ((2.0, 2.5), (4.0, 4.25))),
+        (lambda t: t >= 9.5, ((9.5, 10.0),)),
+    ],
+)
+def test_a_flight_knows_when_the_guard_was_in_charge(tmp_path, in_charge, spans):
+    flight = read_flight(copied(SAMPLE, tmp_path / "bag", with_guard(in_charge)))
+
+    assert [t for span in flight.guarded for t in span] == pytest.approx(
+        [t for span in spans for t in span], abs=1e-6
+    )
+    assert flight.guard_time_s == pytest.approx(sum(end - begin for begin, end in spans))
+
+
+def test_a_flight_without_a_guard_says_that_it_knows_of_none():
+    assert read_flight(SAMPLE).guard_time_s is None
 
 
 def test_a_bag_of_several_vehicles_asks_which_one(tmp_path):

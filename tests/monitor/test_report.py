@@ -218,6 +218,20 @@ def test_a_switch_of_the_mode_is_shown_and_names_are_written_as_text(tmp_path):
     assert "<script>x" not in text.replace(r"\u003cscript", "")
 
 
+def test_the_guard_is_shown_and_told_in_words(tmp_path):
+    guarded = replace(ROBUST, guarded=((2.0, 2.5), (4.0, 4.25)))
+
+    html, *_ = write_report([NOMINAL, guarded], tmp_path / "report.html")
+
+    text = html.read_text(encoding="utf-8")
+    assert (
+        "robust: the guard was in charge, not the controller, for 0.75 s: 2.00 to 2.50 s, 4.00 "
+        "to 4.25 s."
+    ) in text
+    assert Page(text).row("guard in charge [s]") == ["not recorded", "0.75"]
+    assert text.count(f'"fillcolor":"{look.GUARD_COLOUR}"') == 2
+
+
 def test_without_flights_or_place_it_says_so(tmp_path):
     with pytest.raises(ValueError, match="at least one flight"):
         write_report([], tmp_path / "report.html")

@@ -10,6 +10,7 @@
 
 from inspect import signature
 from itertools import chain
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,6 +26,8 @@ from gtmr_monitor.node import MonitorNode
 from gtmr_msgs_py import topics
 from gtmr_msgs_py.contract import Frames
 from gtmr_msgs_py.messages import odometry, rotor_command, rotor_states
+from gtmr_msgs_py.node import diagnostics
+from gtmr_msgs_py.wire import stamps
 from gtmr_msgs_py.wire.message_error import CAUSES
 from gtmr_msgs_py.wire.order import END_NS
 from gtmr_nmpc.node import NmpcNode
@@ -35,6 +38,8 @@ START = Helix().initial_state(Tower(), Vehicle.paper())
 NOW_NS = 10**10
 TICK_NS = 25_000_000
 U = np.zeros((20, 6))
+INFO = dict.fromkeys(("received_timestamp", "source_timestamp", "publication_sequence_number"), 0)
+"""What the middleware tells of a message."""
 XI = np.tile(START[ROTORS], (21, 1))
 
 
@@ -54,7 +59,7 @@ class Hearing:
         subscriptions = [s for s in self.node.subscriptions if s.topic_name == name]
         assert subscriptions, name
         for subscription in subscriptions:
-            info = {"received_timestamp": 0, "source_timestamp": 0}
+            info = dict(INFO)
             wants_info = len(signature(subscription.callback).parameters) == 2
             subscription.callback(data, *[info] * wants_info)
 
@@ -125,7 +130,7 @@ def test_nothing_that_is_said_on_any_topic_ends_a_callback_with_an_exception(hea
     good = serialize_message(Clock())
     for subscription in list(node.node.subscriptions):
         for kind in MALFORMED.values():
-            info = [{"received_timestamp": 0, "source_timestamp": 0}]
+            info = [dict(INFO)]
             count = len(signature(subscription.callback).parameters)
             subscription.callback(kind(good + bytes(40)), *info[: count - 1])
     assert node.dropped()["undecodable"] > 0
@@ -189,3 +194,64 @@ def test_no_stray_makes_the_monitor_forget_a_violation(hearing, stray_ns):
     (vehicle,) = node.node._vehicles
     assert vehicle.watch.violations == 1
     assert vehicle.late + sum(node.dropped().values()) == 3
+
+
+def test_an_odometry_that_jumps_is_dropped_and_the_next_is_answered(hearing):
+    node = hearing("nmpc")
+    elsewhere = START.copy()
+    elsewhere[0] += 1.0
+    for k, x in enumerate([START, START, elsewhere, START]):
+        for said in state(NOW_NS + k * TICK_NS, x):
+            node.hear(*said)
+    assert node.dropped() == {"jump": 1}
+    assert node.node._performance.steps == 3
+
+
+def told(node):
+    """The level, message and figures that a node would publish now."""
+    sent = []
+    node.node._diagnostics = SimpleNamespace(publish=sent.append)
+    node.node._diagnose()
+    (status,) = sent[-1].status
+    return status.level, status.message, diagnostics.decode(status)
+
+
+def test_of_odometry_that_is_too_late_no_command_is_sent_until_it_is_in_time_again(hearing):
+    node = hearing("nmpc")
+    sent = []
+    node.node._rotor_command = SimpleNamespace(publish=sent.append)
+
+    def fly(k, late_ns):
+        clock = Clock(clock=stamps.encode(NOW_NS + k * TICK_NS + late_ns))
+        node.hear(topics.CLOCK, serialize_message(clock))
+        for said in state(NOW_NS + k * TICK_NS):
+            node.hear(*said)
+
+    # In lockstep, the state of an instant comes before the clock does.
+    for k, late_ns in enumerate([-TICK_NS, -5_000_000, 0, 25_000_000]):
+        fly(k, late_ns)
+    assert (len(sent), told(node)[2]["delay_s"]) == (4, 0.025)
+    for k in range(4, 8):
+        fly(k, 50_000_000)
+    level, message, figures = told(node)
+    assert (len(sent), level, message) == (
+        4,
+        b"\x02",
+        "no command is sent: odometry is 0.05 s late",
+    )
+    assert (figures["delay_s"], figures["withheld_commands"]) == (0.05, 4)
+    fly(8, 0)
+    assert (len(sent), told(node)[2]["delay_s"]) == (5, 0)
+
+
+def test_a_plan_that_is_not_fit_is_not_sent_and_that_is_told(hearing):
+    node = hearing("nmpc")
+    sent = []
+    node.node._rotor_command = SimpleNamespace(publish=sent.append)
+    inverted = START.copy()
+    inverted[3] = np.pi
+    for _ in range(2):
+        for said in state(NOW_NS, inverted):
+            node.hear(*said)
+    assert not sent
+    assert told(node)[:2] == (b"\x02", "no command is sent: the vehicle is inverted")

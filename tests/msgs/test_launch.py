@@ -9,6 +9,7 @@
 """The launch files start what exists, with parameters that exist; `launch` itself is stubbed."""
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -206,3 +207,12 @@ def test_two_flights_are_apart_and_end_together(launch):
 def test_an_argument_that_cannot_be_used_is_named(launch, texts, reason):
     with pytest.raises(ValueError, match=reason):
         launch("inspection", **texts)
+
+
+def test_the_documentation_names_every_launch_argument_and_no_other(launch):
+    page = (ROOT / "docs" / "interfaces.md").read_text(encoding="utf-8")
+    there_are = {"bag"}
+    for name in (*LAUNCHED, "replay"):
+        arguments, _ = launch(name, bag="bags/old")
+        there_are |= set(arguments)
+    assert set(re.findall(r"(\w+):=", page.partition("## Parameters")[0])) == there_are

@@ -34,7 +34,10 @@ WRITTEN = {
     "export-c": ["export-c"],
     "report --out": ["report", "no-bag", "--out"],
     "replay --json": ["replay", "no-bag", "--json"],
+    "faults --json": ["faults", "--quick", "--json"],
     "replay --report": ["replay", "no-bag", "--report"],
+    "recover --out": ["recover", "no-bag", "--out"],
+    "recover --json": ["recover", "no-bag", "--out", "new", "--json"],
 }
 READ = {
     "fly --vehicle": ["fly", "--duration", "0.1", "--vehicle"],
@@ -43,6 +46,7 @@ READ = {
     "report": ["report"],
     "replay": ["replay"],
     "play": ["play"],
+    "recover": ["recover", "--out", "new"],
 }
 LONG = "x" * 300
 BAD = {

@@ -17,11 +17,14 @@
 
 static const double MAX_DISTURBANCE_M_S2 = 4.0;
 static const double MAX_ANGULAR_DISTURBANCE_RAD_S2 = 10.0;
+static const double MAX_V_M_S = 30.0, MAX_OMEGA_RAD_S = 20.0;
 /* Innovations that no vehicle can make between two steps. */
 static const double JUMP_M = 0.5, JUMP_RAD = 1.0;
 static const double UPSIDE_DOWN = 0.5;
 static const double MAX_TURN_RAD_S = 3.0;
 static const double MIN_LIFT = 0.3;
+/* Change of a squared rotor speed that is none. */
+static const double ROUNDING_HZ2 = 1e-6;
 
 static double dot(const double *a, const double *b)
 {
@@ -161,6 +164,7 @@ static void estimate_attitude(gtmr_guard *g, double dt_s, const double *eta, con
             limit(g->d_omega, 3, MAX_ANGULAR_DISTURBANCE_RAD_S2);
         }
     }
+    limit(g->omega, 3, MAX_OMEGA_RAD_S);
 }
 
 static void estimate_position(gtmr_guard *g, double dt_s, const double *p, const double *thrust)
@@ -184,6 +188,7 @@ static void estimate_position(gtmr_guard *g, double dt_s, const double *p, const
         }
         limit(g->d, 3, MAX_DISTURBANCE_M_S2);
     }
+    limit(g->v, 3, MAX_V_M_S);
 }
 
 /* Filter measurement and model: three poles each for position and for attitude. */
@@ -286,9 +291,9 @@ static void allocate(const gtmr_guard_parameters *k, const double *wrench, int f
         more[i] = 0.0;
         for (j = from; j < end; j++)
             more[i] += k->inverse[i][j] * wrench[j];
-        if (more[i] > 0.0 && squared[i] + share * more[i] > high)
+        if (more[i] > ROUNDING_HZ2 && squared[i] + share * more[i] > high)
             share = fmax(0.0, (high - squared[i]) / more[i]);
-        else if (more[i] < 0.0 && squared[i] + share * more[i] < low)
+        else if (more[i] < -ROUNDING_HZ2 && squared[i] + share * more[i] < low)
             share = fmax(0.0, (low - squared[i]) / more[i]);
     }
     for (i = 0; i < ROTORS; i++)

@@ -116,6 +116,9 @@ def flight_of(recording: Recording) -> Flight:
         tower=tower,
         helix=_model(path, ReferencePath, "helix", (nmpc, sim)),
         coverage=recording.coverage,
+        guarded=_guarded(
+            time_of(recording.guard), [item.message.data for item in recording.guard]
+        ),
         zeta=tuple(sim["zeta"]) if "zeta" in sim else None,
         gust=sim.get("gust.kind"),
         seed=sim.get("seed"),
@@ -138,6 +141,18 @@ def _modes(times: list[float], modes: list[str]) -> tuple[tuple[float, str], ...
     begun = [k for k in changed if times[k] <= 0.0]
     first = begun[-1] if begun else 0
     return tuple((times[k] if k > first else 0.0, modes[k]) for k in changed if k >= first)
+
+
+def _guarded(times: Array, in_charge: list[bool]) -> tuple[tuple[float, float], ...] | None:
+    """From when to when it was in charge: up to the message that says it no longer is."""
+    if not in_charge:
+        return None
+    turns = [k for k, now in enumerate(in_charge) if now != (k > 0 and in_charge[k - 1])]
+    turns += [len(in_charge) - 1] if in_charge[-1] else []
+    return tuple(
+        (float(times[begin]), float(times[end]))
+        for begin, end in zip(turns[::2], turns[1::2], strict=True)
+    )
 
 
 def _model(path: Path, kind: type[Any], prefix: str, candidates: Iterable[dict[str, Any]]) -> Any:

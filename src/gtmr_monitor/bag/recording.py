@@ -101,6 +101,8 @@ class Recording:
     """s as the monitor published it [m]."""
     predicted_paths: list[Recorded]
     """The plans' poses [m]."""
+    guard: list[Recorded]
+    """Whether the guard was in charge, sent with every odometry."""
     changes: list[Change]
     """Of all nodes, in the order in which they were told."""
     late: dict[str, int]

@@ -40,6 +40,7 @@ _READ = (
     contract.SOLVE_TIME,
     contract.CLEARANCE_RESIDUAL,
     contract.PREDICTED_PATH,
+    contract.GUARD,
     contract.PARAMETER_EVENTS,
 )
 
@@ -144,6 +145,7 @@ class _Bag:
         solve_times = recorded(contract.SOLVE_TIME)
         residuals = recorded(contract.CLEARANCE_RESIDUAL)
         predicted_paths = recorded(contract.PREDICTED_PATH)
+        guard = recorded(contract.GUARD)
         told = changes(
             self.of(contract.PARAMETER_EVENTS).get(contract.PARAMETER_EVENTS.name, []), dropped
         )
@@ -164,6 +166,7 @@ class _Bag:
             solve_times=solve_times,
             residuals=residuals,
             predicted_paths=predicted_paths,
+            guard=guard,
             changes=told,
             late=late,
             notes=tuple(notes),

@@ -79,10 +79,10 @@ def residual(flown: Flown) -> go.Figure:
         )  # fmt: skip
         for at, mode in flight.modes[1:]:
             figure.add_vline(x=at, line=_pen(line, dash="dot"), annotation_text=mode, row=1, col=1)
-        for begin, end in flight.coverage.gaps:
+        for begin, end, colour, name in look.spans(flight):
             figure.add_vrect(
-                x0=begin, x1=end, fillcolor=look.GAP_COLOUR, opacity=0.4, line_width=0, row=1,
-                col=1,
+                x0=begin, x1=end, fillcolor=colour, opacity=0.4, line_width=0, row=1, col=1,
+                annotation_text=name, annotation_position="bottom left",
             )  # fmt: skip
     for flight, line in flown:
         if (foreseen := flight.predictions) is not None:

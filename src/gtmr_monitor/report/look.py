@@ -35,6 +35,8 @@ OTHER_COLOUR = "#CC79A7"
 """Flights that switched their mode, or do not tell it."""
 GAP_COLOUR = "#bdbdbd"
 """Where the record of a flight has a gap."""
+GUARD_COLOUR = "#E69F00"
+"""While the guard was in charge."""
 REPLAYED_COLOUR = "#009E73"
 """What a controller would have done that did not fly."""
 Dash = Literal["solid", "dash", "dot"]
@@ -117,6 +119,12 @@ def solve_time_bins(flights: Sequence[Flight]) -> Array:
     low, high = (times.min(), times.max()) if times.size else (1.0, 1.0)
     edges: Array = np.geomspace(0.95 * low, 1.05 * high, 51)
     return edges
+
+
+def spans(flight: Flight) -> list[tuple[float, float, str, str]]:
+    """Say what to shade over time: beginning and end [s], colour, name."""
+    gaps = [(*gap, GAP_COLOUR, "gap") for gap in flight.coverage.gaps]
+    return gaps + [(*span, GUARD_COLOUR, "guard") for span in flight.guarded or ()]
 
 
 def tightened(flown: Flown) -> Flown:

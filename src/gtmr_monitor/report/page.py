@@ -57,6 +57,9 @@ CAPTIONS = {
 # Plotly offers by default to upload a chart to its makers; a report stays where it is.
 _PLOTLY_CONFIG = {"displaylogo": False, "responsive": True, "showSendToCloud": False}
 
+_MOST_SPANS = 10
+"""So many times at which the guard was in charge are listed."""
+
 Value = Callable[[Flight], str | None]
 """A cell in HTML; None where that was not recorded."""
 Row = tuple[str, Value]
@@ -105,6 +108,12 @@ def _page(flown: Flown) -> str:
         for note in flight.notes
     )
     warnings += "".join(
+        f'<p class="warning">{escape(line.label)}: the guard was in charge, not the controller, '
+        f"for {flight.guard_time_s:.2f} s: {_spans(flight.guarded)}.</p>"
+        for flight, line in flown
+        if flight.guarded and not flight.replayed
+    )
+    warnings += "".join(
         f"<p>{escape(line.label)}: this controller did not fly. It was fed the recorded states "
         "again: motion and residual are the recorded ones; margins, slack, solve times and what "
         "its plans foresee are its own.</p>"
@@ -135,6 +144,12 @@ def _table(flown: Flown, rows: Sequence[Row]) -> str:
     cells = [(name, [value(flight) for flight, _ in flown]) for name, value in rows]
     told = [(name, ["not recorded" if c is None else c for c in row]) for name, row in cells]
     return table(heads, told)
+
+
+def _spans(spans: Sequence[tuple[float, float]]) -> str:
+    shown = [f"{begin:.2f} to {end:.2f} s" for begin, end in spans[:_MOST_SPANS]]
+    more = len(spans) - len(shown)
+    return ", ".join(shown) + (f", and {more} times more" if more else "")
 
 
 def _violated(flight: Flight) -> str:
@@ -186,6 +201,10 @@ _SUMMARY: tuple[Row, ...] = (
     ("lower quartile [m]", _quartile("q1")),
     ("minimum [m]", _quartile("min")),
     ("samples", lambda f: str(f.residual.size)),
+    (
+        "guard in charge [s]",
+        lambda f: None if f.guard_time_s is None else f"{f.guard_time_s:.2f}",
+    ),
     ("record covers", lambda f: escape(str(f.coverage))),
     ("solve time, median [ms]", _solve("median")),
     ("99th percentile [ms]", _solve("p99")),

@@ -63,8 +63,9 @@ def residual(flown: Flown) -> Figure:
     moved = look.moved(flown)
     for flight, line in moved:
         over_time.plot(flight.t, flight.residual, **_pen(line), label=line.label)
-        for gap in flight.coverage.gaps:
-            over_time.axvspan(*gap, color=look.GAP_COLOUR, alpha=0.4, linewidth=0)
+        for begin, end, colour, name in look.spans(flight):
+            over_time.axvspan(begin, end, color=colour, alpha=0.4, linewidth=0)
+            over_time.annotate(name, (begin, 0.02), xycoords=("data", "axes fraction"), fontsize=8)
         for at, mode in flight.modes[1:]:
             over_time.axvline(at, color=line.colour, linestyle=":", linewidth=1.0)
             over_time.annotate(

@@ -28,6 +28,16 @@ FLOAT64 = np.dtype("<f8")
 """Aligned to its size, counted from behind what stands in front."""
 
 
+def stamp_of(data: bytes) -> int | None:
+    """Read a message that begins with a stamp [ns] out of CDR bytes; None if they are others."""
+    if data[: len(CDR_LITTLE_ENDIAN)] != CDR_LITTLE_ENDIAN:
+        return None
+    if len(data) < len(CDR_LITTLE_ENDIAN) + STAMP.size:
+        return None
+    sec, nanosec = STAMP.unpack_from(data, len(CDR_LITTLE_ENDIAN))
+    return int(sec * NANOSECONDS + nanosec)
+
+
 class FixedCdr:
     """The bytes of a message that begins with a header; write its fields in their order."""
 

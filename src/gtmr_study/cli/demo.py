@@ -98,6 +98,7 @@ def demo_command(
             "deadline_misses": flight.deadline_misses,
             "bag": str(bag),
             "coverage": flight.coverage.as_json(),
+            "guard_time_s": flight.guard_time_s,
         }
         console.print(f"{mode}: flown {duration:g} s, recorded in {bag}")
     write_report(flights, folder / "report.html")

@@ -162,6 +162,7 @@ class Replay:
             "guessed_parameters": self.guessed,
             "late_messages": self.recording.late,
             "coverage": self.recording.coverage.as_json(),
+            "guard_time_s": self.flown.guard_time_s,
             "notes": self.notes,
         }
 
