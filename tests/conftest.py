@@ -27,6 +27,7 @@ os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 TOGETHER = {
     "tests/graph/": "graph",
     "tests/monitor/test_mcap_core.py": "graph",
+    "tests/monitor/test_report.py": "report",
     "tests/study/test_campaign": "campaign",
     "tests/study/test_calibration.py": "calibration",
     "tests/study/test_reproduction.py": "reproduction",

@@ -23,6 +23,9 @@ from support.recorded_flight import recorded
 
 from gtmr_monitor.bag.reader import bag_files, read_messages
 
+pytestmark = pytest.mark.slow
+"""Flies in a real ROS graph."""
+
 PACKAGES = ["@mcap/core@2.2.2", "fzstd@0.1.1"]
 INSTALL_TIMEOUT_S = 60
 READ = """

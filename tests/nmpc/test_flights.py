@@ -91,6 +91,7 @@ def test_every_motion_about_the_helix_decays_within_two_seconds():
     assert closed_loop_modes(ControllerConfig()).slowest_s < 2.0
 
 
+@pytest.mark.slow
 def test_attitude_weights_are_what_makes_tilt_decay():
     # The cause of drift: motions that the paper's cost cannot see are not damped by it.
     weak = ControllerConfig(weights=Weights(roll_pitch=0.1, yaw=1.0, rate=0.1))

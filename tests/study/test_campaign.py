@@ -180,6 +180,7 @@ def test_a_running_scheduler_gives_the_same_rows_even_if_a_worker_is_killed(
     pd.testing.assert_frame_equal(rows_of(tmp_path / "out"), rows_of(flown))
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_said_and_finished_trials_are_kept(flown, tmp_path):
     folder = tmp_path / "out"
     folder.mkdir()
