@@ -17,7 +17,14 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from gtmr_study.cli.terminal import JsonOption, complain, console, progress, require_choice
+from gtmr_study.cli.terminal import (
+    JsonOption,
+    complain,
+    console,
+    needs_ros,
+    progress,
+    require_choice,
+)
 from gtmr_study.result_files import require_folder_of, write_json
 
 if TYPE_CHECKING:
@@ -28,7 +35,12 @@ def catalogue() -> dict[str, Fault]:
     """Give every fault by name: in process, on files, and between nodes."""
     from gtmr_study.faults import catalogue as without_ros
 
-    return without_ros.faults()
+    try:
+        from gtmr_study.ros.faults import messages, nodes
+    except ModuleNotFoundError as error:
+        raise needs_ros("gtmr faults", error) from None
+    with_ros = (*messages.faults(), *nodes.faults())
+    return without_ros.faults() | {fault.name: fault for fault in with_ros}
 
 
 def faults_command(

@@ -8,7 +8,8 @@
 
 """Messages as bytes that are none: whatever comes, a decoder refuses it by a MessageError."""
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -17,7 +18,7 @@ import numpy as np
 from gtmr_model import Vehicle
 from gtmr_msgs_py.messages import odometry, rotor_command, rotor_states
 from gtmr_msgs_py.wire.message_error import MessageError
-from gtmr_study.faults.fault import Fault, OneByOne, Outcome, Rng
+from gtmr_study.faults.fault import Fault, Outcome, Rng
 from gtmr_study.faults.hostile import damaged
 
 N_ROTORS = 6
@@ -65,4 +66,16 @@ def refused(rng: Rng) -> Outcome:
 def faults() -> list[Fault]:
     """Give the faults on messages as bytes."""
     promise = "is refused by a MessageError, or gives finite numbers"
-    return [Fault("message-damaged", promise, "bytes", 10000, 500, OneByOne(refused))]
+    return [Fault("message-damaged", promise, "bytes", 10000, 500, quietly)]
+
+
+def quietly(rngs: Sequence[Rng]) -> Iterator[Outcome]:
+    """Try once for each, without what the middleware's C++ prints of every such message."""
+    before, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield from [refused(rng) for rng in rngs]
+    finally:
+        os.dup2(before, 2)
+        os.close(before)
+        os.close(nowhere)
