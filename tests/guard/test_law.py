@@ -233,6 +233,20 @@ def test_it_overrides_fresh_plans_beyond_what_any_controller_is_trusted_with(cau
     assert cause in disturbed(**parts)
 
 
+def test_it_brakes_a_dive_that_nobody_else_does_before_it_is_too_late():
+    flown = simulation(gust={"kind": "none"})
+    x = flown.x.copy()
+    x[:3], x[6:9] = (3.0, 0.0, 2.0), (-1.2, 0.0, 0.0)
+    flown.plant.x = x
+    clearance = []
+    for k in range(80):
+        flown.command(k * 0.025, LEVEL)
+        flown.advance(0.025)
+        clearance.append(TOWER.clearance(flown.x))
+    assert flown.guard_time_s > 0.0
+    assert min(clearance) > 0.5 * TOWER.min_clearance_m
+
+
 def test_it_leaves_a_controller_alone_within_that():
     assert set(disturbed()) == {""}
     assert set(disturbed(position=(1.15, 0.0, 2.0), v=(0.2, 0.0, 0.0))) == {""}
