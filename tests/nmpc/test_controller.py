@@ -279,7 +279,8 @@ FAST_APPROACH[12:] = [37.1641, 60.7094, 45.6946, 85.1406, 81.4439, 84.5922]
 
 
 def test_a_plan_that_turns_over_does_not_turn_the_next_command_around():
-    simulation, controller = Simulation(Scenario(), 0.025), Controller()
+    # Alone: the guard would take charge of so fast an approach.
+    simulation, controller = Simulation(Scenario(guard="hold"), 0.025), Controller()
     simulation.plant.x = FAST_APPROACH
     turned_over = False
     while not turned_over:
@@ -294,7 +295,8 @@ def test_a_plan_that_turns_over_does_not_turn_the_next_command_around():
 
 
 def test_a_fast_approach_with_unequal_rotors_is_stopped_before_the_tower():
-    simulation, controller = Simulation(SCENARIO, 0.025), Controller()
+    alone = SCENARIO.model_copy(update={"guard": "hold"})
+    simulation, controller = Simulation(alone, 0.025), Controller()
     simulation.plant.x = FAST_APPROACH
     for _ in range(80):
         solution = controller.step(simulation.time_s, simulation.x)
