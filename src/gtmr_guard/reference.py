@@ -215,9 +215,11 @@ class ReferenceGuard:
 
         low, high = k.min_rotor_speed_hz**2, k.max_rotor_speed_hz**2
         squared = k.inverse[:, 2] * min(max(f[2], k.min_thrust_n), k.max_thrust_n)
-        squared = within(squared, k.inverse[:, 3:] @ torque, low, high)
+        # Roll and pitch go before sideways force, and all before yaw, whose torque is dear.
+        squared = within(squared, k.inverse[:, 3:5] @ torque[:2], low, high)
         if upright > UPSIDE_DOWN:
             squared = within(squared, k.inverse[:, :2] @ f[:2], low, high)
+        squared = within(squared, k.inverse[:, 5] * torque[2], low, high)
         xi = np.sqrt(np.clip(squared, low, high))
         limit = k.max_rotor_acceleration_hz_s
         return np.clip(k.rotor_gain * (xi - self._xi), -limit, limit)

@@ -355,13 +355,14 @@ static void retreat(gtmr_guard *g, double *u)
         wrench[3 + i] = k->inertia_kg_m2[i] * spin + gyro[i];
     }
 
-    /* Torque goes before sideways force. */
+    /* Roll and pitch go before sideways force, and all before yaw, whose torque is dear. */
     thrust = between(wrench[2], k->min_thrust_n, k->max_thrust_n);
     for (i = 0; i < ROTORS; i++)
         squared[i] = k->inverse[i][2] * thrust;
-    allocate(k, wrench, 3, 6, squared);
+    allocate(k, wrench, 3, 5, squared);
     if (upright > UPSIDE_DOWN)
         allocate(k, wrench, 0, 2, squared);
+    allocate(k, wrench, 5, 6, squared);
     for (i = 0; i < ROTORS; i++) {
         double low = k->min_rotor_speed_hz, high = k->max_rotor_speed_hz;
         double xi = sqrt(between(squared[i], low * low, high * high));
