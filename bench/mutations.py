@@ -27,6 +27,8 @@ COMPILED = "tests/nmpc/test_compiled.py::test_"
 CONTROLLER = "tests/nmpc/test_controller.py::test_"
 SENSITIVITY = "tests/nmpc/test_sensitivity.py::test_"
 MESSAGES = "tests/msgs/test_messages.py::test_"
+LOOP = "tests/study/test_faults.py::test_what_is_promised_in_the_loop_is_kept"
+FUZZ = "tests/fuzz/test_fuzz.py::test_"
 MUTATIONS = [
     # File, text, what it becomes, test that fails.
     (
@@ -155,6 +157,69 @@ MUTATIONS = [
         "self.clearance(position) - self.min_clearance_m",
         "tests/monitor/test_residual.py::"
         "test_of_positions_round_the_tower_agrees_with_the_distance_to_its_axis",
+    ),
+    (
+        "src/gtmr_sim/session.py",
+        "- stamp_ns > MAX_DELAY_NS",
+        "- stamp_ns > 100 * MAX_DELAY_NS",
+        LOOP + "[odometry-late-100]",
+    ),
+    (
+        "src/gtmr_sim/session.py",
+        "if stamp_ns > self.stamp_ns or (",
+        "if (",
+        LOOP + "[commands-from-future]",
+    ),
+    (
+        "src/gtmr_guard/c/gtmr_guard.c",
+        "usable = usable && fabs",
+        "usable = 1 + fabs",
+        "tests/guard/test_law.py::"
+        "test_a_command_that_cannot_be_used_puts_it_in_charge_within_two_steps",
+    ),
+    (
+        "src/gtmr_guard/c/gtmr_guard.c",
+        "cause = GTMR_GUARD_ENDED;",
+        "cause = GTMR_GUARD_NONE;",
+        "tests/guard/test_guarded_flights.py::"
+        "test_with_the_controller_dead_it_hovers_clear_of_the_tower",
+    ),
+    (
+        "src/gtmr_guard/c/gtmr_guard.c",
+        "if (g->R[2][2] < k->min_tilt_cosine)",
+        "if (0)",
+        "tests/guard/test_law.py::"
+        "test_it_overrides_fresh_plans_beyond_what_any_controller_is_trusted_with",
+    ),
+    (
+        "src/gtmr_msgs_py/wire/order.py",
+        "if self._asides < LASTING or",
+        "if self._asides < 1 or",
+        "tests/msgs/test_order.py::test_one_stray_message_of_the_past_is_no_reset",
+    ),
+    (
+        "src/gtmr_msgs_py/wire/reading.py",
+        "except Exception",
+        "except ValueError",
+        FUZZ + "damaged_messages_are_refused_by_a_message_error",
+    ),
+    (
+        "src/gtmr_model/yaml_file.py",
+        "MAX_DEPTH = 20",
+        "MAX_DEPTH = 10**9",
+        FUZZ + "files_are_read_as_far_as_they_go_or_refused_in_one_line[yaml-hostile]",
+    ),
+    (
+        "src/gtmr_monitor/coverage.py",
+        "return not (self.gaps or self.causes or self.lost_messages)",
+        "return True",
+        "tests/study/test_faults.py::test_what_is_promised_of_files_is_kept[bag-cut]",
+    ),
+    (
+        "src/gtmr_study/faults/campaign.py",
+        'row["held"] < row["tried"]',
+        'row["held"] > row["tried"]',
+        "tests/study/test_faults.py::test_the_command_fails_when_a_promise_is_broken",
     ),
 ]
 

@@ -23,6 +23,11 @@ os.environ.update(ros_environment())
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 
 
+def pytest_addoption(parser):
+    """Let the random cases of tests/fuzz be as many as one likes."""
+    parser.addoption("--cases", type=int, default=50, help="cases of each kind in tests/fuzz")
+
+
 # Real time needs a core for itself: one graph at a time. What is flown once stays together.
 TOGETHER = {
     "tests/graph/": "graph",

@@ -103,6 +103,8 @@ class Disturbance:
     """Chooses the world."""
     least_m: float = 0.0
     """The clearance that is promised [m]."""
+    guarded: bool = False
+    """Whether the guard is promised to be in charge when the flight is over."""
     recovers: bool = True
     """Whether the vehicle is promised to be back at its reference within `AFTER_S` of the end."""
 
@@ -213,6 +215,8 @@ class Flight:
             return Outcome(False, least_m, recovery_s, "hit the ground")
         if least_m <= faults.least_m:
             return Outcome(False, least_m, recovery_s, f"came within {faults.least_m:g} m")
+        if faults.guarded and not self.session.guard_active:
+            return Outcome(False, least_m, None, "the guard is not in charge")
         if faults.recovers and recovery_s is None:
             return Outcome(False, least_m, None, f"not back within {AFTER_S:g} s")
         return Outcome(True, least_m, recovery_s)

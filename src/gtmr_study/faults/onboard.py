@@ -128,8 +128,8 @@ AT_ONCE = (0.005, 0.005)
 
 CONTROLLER: dict[str, tuple[str, Disturbance]] = {
     "nmpc-killed": (
-        "stays clear of the tower for ever after",
-        Disturbance((3.0, 6.0), begin=kill, recovers=False),
+        "stays clear of the tower for ever after, with the guard in charge",
+        Disturbance((3.0, 6.0), begin=kill, guarded=True, recovers=False),
     ),
     "nmpc-restarted": (CLEAR, Disturbance((0.1, 3.0), begin=kill, end=start)),
     "solver-failing-half": (CLEAR, Disturbance(begin=failing(0.5), end=well_again)),
