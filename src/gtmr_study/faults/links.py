@@ -21,6 +21,7 @@ from gtmr_study.faults.loop import Disturbance, Flight, Link, Measurement, Sent
 Range = tuple[float, float]
 CLEAR = "stays clear of the tower, and is back at its reference within 6 s of the end"
 KEEPS = "keeps d_min = 0.2 m, and is back at its reference within 6 s of the end"
+COUNTED = "none is given: it is counted how often the vehicle stays clear of the tower"
 D_MIN_M = 0.2
 """What the robust controller keeps [m] (Table I)."""
 
@@ -135,7 +136,7 @@ MEASUREMENTS: dict[str, tuple[str, Disturbance]] = {
     "odometry-uneven": (CLEAR, Disturbance(measured=uneven((0.0, 0.04)))),
     "odometry-twice": (KEEPS, Disturbance(measured=twice, least_m=D_MIN_M)),
     "odometry-stuck": (CLEAR, Disturbance((0.2, 3.0), measured=stuck)),
-    "odometry-frozen": (CLEAR, Disturbance((0.1, 1.0), measured=changed(1.0, frozen))),
+    "odometry-frozen": (COUNTED, Disturbance((0.1, 1.0), measured=changed(1.0, frozen))),
     "odometry-nan": (KEEPS, Disturbance(measured=changed(0.5, not_finite), least_m=D_MIN_M)),
     "odometry-jump": (KEEPS, Disturbance(measured=changed(0.1, jumped), least_m=D_MIN_M)),
     "odometry-step": (CLEAR, Disturbance(measured=changed(1.0, stepped))),

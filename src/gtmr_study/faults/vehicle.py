@@ -22,6 +22,7 @@ from gtmr_model.vehicle import GRAVITY_M_S2
 from gtmr_sim import GustConfig, Scenario
 from gtmr_sim.plant import Effect, Plant
 from gtmr_study.faults.fault import Rng
+from gtmr_study.faults.links import COUNTED
 from gtmr_study.faults.loop import Action, Disturbance, Flight, world
 
 
@@ -122,7 +123,6 @@ def _times(factor: float, known: UncertaintySet, name: str) -> Any:
 
 
 CLEAR_ONLY = "stays clear of the tower"
-COUNTED = "none is given: it is counted how often the vehicle stays clear of the tower"
 FOR_GOOD = (3.0, 6.0)
 
 VEHICLE: dict[str, tuple[str, Disturbance]] = {
