@@ -18,7 +18,7 @@ maintainer = manifest.find("maintainer")
 
 nodes = ["sim", "nmpc", "monitor"]
 shared = [
-    *Path("config").rglob("*.yaml"),
+    *Path("config").rglob("*.*"),
     *Path("config").rglob("*.xml"),
     *Path("launch").glob("*.launch.py"),
     *Path("rviz").glob("*.*"),
@@ -36,7 +36,7 @@ setup(
     # config/ reaches the wheel through the link src/gtmr_model/config.
     package_data={
         "": ["py.typed"],
-        "gtmr_model": ["config/**/*.yaml"],
+        "gtmr_model": ["config/**/*.*"],
         "gtmr_guard": ["c/*.[ch]"],
         "gtmr_msgs_py.start": ["*.xml"],
         "gtmr_nmpc.compiled": ["c/*.[ch]"],

@@ -21,10 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gtmr_model import Helix
-from gtmr_model.dynamics import POSITION
+from gtmr_model.dynamics import POSITION, ROTORS
 from gtmr_msgs_py.wire.message_error import MessageError
 from gtmr_msgs_py.wire.order import StampOrder
 from gtmr_nmpc import Controller, ControllerConfig
+from gtmr_nmpc.online.fitness import Fitness
+from gtmr_nmpc.online.plausibility import Plausibility
 from gtmr_nmpc.online.schedule import Due, Schedule
 from gtmr_sim import Scenario, Simulation
 from gtmr_sim.session import NANOSECONDS, Session
@@ -32,6 +34,8 @@ from gtmr_study.faults.fault import Outcome, Rng
 
 Array = NDArray[np.float64]
 
+MAX_DELAY_S = 0.03
+"""Oldest measurement that a command is sent for, the default of the controller's node [s]."""
 TICK_S = 0.005
 """Between two measurements, as the simulator's node publishes them [s]."""
 BEFORE_S = (0.5, 1.5)
@@ -121,27 +125,37 @@ class Pilot:
         self.controller.reset()
         self._schedule = Schedule(round(controller.config.sampling_time_s * NANOSECONDS))
         self._order = StampOrder()
+        self._begins_again = False
+        self._plausibility = Plausibility(controller.config.vehicle)
+        self._fitness = Fitness()
         self._last: Command | None = None
         self.dropped = 0
         """How many measurements it could not use."""
 
-    def hear(self, measurement: Measurement) -> Command | None:
-        """Take a measurement, and give the command that it asks for."""
+    def hear(self, now_s: float, measurement: Measurement) -> Command | None:
+        """Take a measurement at a time [s], and give the command that it asks for."""
+        stamp_ns, x = measurement.stamp_ns, measurement.x
         try:
-            if not np.isfinite(measurement.x).all():
+            if not np.isfinite(x).all():
                 raise MessageError("not finite")
-            begins_again = self._order.admit(measurement.stamp_ns)
+            if self._order.admit(stamp_ns):
+                self._begins_again = True
+                self._plausibility.reset()
+            self._plausibility.check(stamp_ns, x[: ROTORS.start])
         except MessageError:
             self.dropped += 1
             return None
-        due = self._schedule.admit(measurement.stamp_ns, begins_again)
+        if now_s - stamp_ns / NANOSECONDS > MAX_DELAY_S + 1e-9:
+            return None
+        due, self._begins_again = self._schedule.admit(stamp_ns, self._begins_again), False
         if due is Due.NOTHING:
             return None
         if due is not Due.REPEAT:
             if due is Due.RESTART:
                 self.controller.reset()
-            solution = self.controller.step(self._schedule.time_ns / NANOSECONDS, measurement.x)
-            self._last = Command(measurement.stamp_ns, solution.u_plan.copy())
+            solution = self.controller.step(self._schedule.time_ns / NANOSECONDS, x)
+            unfit = self._fitness.reason(stamp_ns / NANOSECONDS, x, solution)
+            self._last = None if unfit else Command(stamp_ns, solution.u_plan.copy())
         return self._last
 
 
@@ -195,7 +209,7 @@ class Flight:
             if isinstance(message, Command):
                 self.session.command(message.stamp_ns, message.u_plan)
             elif self.pilot is not None:
-                command = self.pilot.hear(message)
+                command = self.pilot.hear(now_s, message)
                 if command is not None:
                     self._send(now_s, command)
 
