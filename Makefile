@@ -31,7 +31,7 @@ test quick: export ROS_PYTHON_CHECK_FIELDS := 1
 test: setup
 	$(PYTEST) $(ARGS)
 
-# All but whole ROS graphs and long studies.
+# All but whole ROS graphs and what is marked slow, in a minute.
 quick: setup
 	$(PYTEST) --ignore tests/graph -m 'not slow' $(ARGS)
 

@@ -175,6 +175,7 @@ def test_an_entry_that_cannot_be_loaded_from_the_cache_is_loaded_from_elsewhere(
     assert answer() == 42
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unoptimised")
 @pytest.mark.parametrize("harm", ["nothing can be loaded", "nothing can be written"])
 def test_where_no_folder_will_do_the_controller_flies_interpreted(cache, monkeypatch, harm, capfd):

@@ -25,6 +25,8 @@ from gtmr_study.faults.hostile import path_name
 from gtmr_study.ros.faults import messages
 from gtmr_study.ros.faults.messages import decoders, good
 
+pytestmark = pytest.mark.slow
+
 FILES = [fault for fault in catalogue.faults().values() if fault.place == "files"]
 BAD = ("", "x", "-1", "nan", "inf", "1e999", "-", "0x10", "1,5", "\u0663.", "1e-400")
 """No duration, and no number of trials."""

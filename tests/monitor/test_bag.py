@@ -252,6 +252,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [40, 200])
 def test_killed_it_loses_less_than_a_second(tmp_path, rate_hz):
     written_s = []

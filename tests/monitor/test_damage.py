@@ -324,6 +324,7 @@ def test_no_flipped_bit_hides_anything(tmp_path):
     assert result.silent == []
 
 
+@pytest.mark.slow
 def test_no_flipped_bit_hides_anything_of_a_real_flight():
     result = flip_bits(SAMPLE, tries=3, seed=2)
 
@@ -340,6 +341,7 @@ def test_what_is_missing_is_known_once_everything_is_read(bag):
     assert n + sum(losses.messages.values()) == 3 * SAMPLES
 
 
+@pytest.mark.slow
 def test_a_report_says_what_it_covers_for_every_flight(gtmr, whole, bag, tmp_path):
     damaged = damage_chunks(bag.rename(tmp_path / "damaged"), 6)
 

@@ -70,6 +70,7 @@ def test_the_sample_bag_has_nothing_to_tell():
     assert flight.mode == "robust"
 
 
+@pytest.mark.slow
 def test_commands_and_rotor_speeds_out_of_order_keep_their_margins(tmp_path):
     def swap(messages):
         for topic in ("/rotor_command", "/rotor_states"):
@@ -131,6 +132,7 @@ def test_a_bag_of_several_vehicles_asks_which_one(tmp_path):
     assert read_flight(bag, "/b").t.size == 50
 
 
+@pytest.mark.slow
 def test_a_report_shows_all_vehicles_of_a_bag_or_the_one_named(gtmr, tmp_path):
     bag = flown(tmp_path / "both", ("/a/odom", samples()), ("/b/odom", samples(50, ())))
 
@@ -155,6 +157,7 @@ def test_a_vehicle_that_is_not_in_the_bag_is_refused_by_name(refused, tmp_path):
     assert "allowed is /b, /" in message
 
 
+@pytest.mark.slow
 def test_a_report_tells_of_messages_out_of_order(gtmr, tmp_path):
     bag = flown(tmp_path / "bag", ("/odom", late(samples(), 60)))
 

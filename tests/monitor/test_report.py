@@ -30,6 +30,8 @@ from gtmr_monitor.report.browser import CHARTS
 from gtmr_monitor.report.page import CAPTIONS, write_report
 from gtmr_monitor.report.paper import FIGURES
 
+pytestmark = pytest.mark.slow
+
 T = 0.025 * np.arange(400)
 STAGES = 21
 MARGIN_M = 0.002

@@ -121,6 +121,7 @@ sys.exit(process.run(lambda managed: Busy("node", managed), [], {executor}))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("executor", ["process.PROMPT", "process.SingleThreadedExecutor"])
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_in_a_callback_lets_it_finish(stop, executor):

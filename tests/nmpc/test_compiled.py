@@ -170,6 +170,7 @@ def around(middle, spread):
     return st.floats(middle - spread, middle + spread)
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(
     offset=st.lists(around(0.0, 0.2), min_size=3, max_size=3),

@@ -87,6 +87,7 @@ def test_nominal_residuals_have_the_quartiles_of_fig_2(flights):
     )
 
 
+@pytest.mark.slow
 def test_every_motion_about_the_helix_decays_within_two_seconds():
     assert closed_loop_modes(ControllerConfig()).slowest_s < 2.0
 

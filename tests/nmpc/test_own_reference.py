@@ -91,6 +91,7 @@ def test_it_is_flown():
     assert log.d_T.min() > SCENARIO.tower.min_clearance_m
 
 
+@pytest.mark.slow
 def test_only_fields_that_are_no_numbers_compile_anew():
     def sources(**fields):
         return c_sources(ControllerConfig(helix=Scan(**fields)))

@@ -92,6 +92,7 @@ def test_converged_rti_with_frozen_margins_is_the_nlp_with_those_margins(mode, c
     assert_same_solution(iterate, slack, reference)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unoptimised")
 @pytest.mark.parametrize("case", CASES)
 def test_converged_rti_with_margin_gradient_is_eq_15(case):

@@ -43,6 +43,7 @@ def unclipped(kind):
     return Scenario(gust=GustConfig(kind=kind), uncertainty=UncertaintySet(gust_n=1e6))
 
 
+@pytest.mark.slow
 def test_ornstein_uhlenbeck_has_its_variance_and_correlation_time():
     force = record(unclipped("ou"), 200_000)
     np.testing.assert_allclose(force.std(axis=0), 0.25, rtol=0.03)
@@ -74,6 +75,7 @@ def test_dryden_has_the_spectrum_of_mil_f_8785c():
         np.testing.assert_allclose(np.abs(response) ** 2, density, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_dryden_is_stationary_with_its_standard_deviations():
     force = record(unclipped("dryden"), 400_000)
     shear = 0.177 + 0.000823 * 10.0

@@ -32,6 +32,7 @@ def _no_compiler(_):
     raise CompileError("no C compiler found")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("interpreted")
 def test_interpreted_flights_in_four_threads_are_those_of_one():
     def flight(seed):

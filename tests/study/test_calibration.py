@@ -81,6 +81,7 @@ def test_a_search_that_was_killed_goes_on_as_if_it_had_not_been(cheap, tmp_path,
     assert (tmp_path / "part" / BEST).read_text() == (tmp_path / "whole" / BEST).read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", ["nominal", "both"])
 def test_the_best_set_is_told_and_kept_as_a_scenario(target, cheap, tmp_path, gtmr):
     options = ("--target", target, "--trials", 1, "--duration", 0.3, "--workers", 1, "--seed", 5)

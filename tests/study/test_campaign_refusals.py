@@ -88,6 +88,7 @@ def test_bad_input_gets_one_clear_line(case, tmp_path, monkeypatch, refused):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_not_there_is_said_within_ten_seconds(tmp_path, refused):
     address, start = "tcp://127.0.0.1:9", time.monotonic()
 

@@ -27,6 +27,8 @@ from gtmr_study.campaign.report import write_campaign_report
 from gtmr_study.campaign.trials_file import read_trials
 from gtmr_study.result_files import InputError
 
+pytestmark = pytest.mark.slow
+
 COMMITTED = Path(__file__).parents[2] / "docs" / "reproduction" / "default"
 CHROMIUM = next(
     (Path(p) for p in ("/usr/bin/chromium", "/usr/bin/google-chrome") if Path(p).exists()), None

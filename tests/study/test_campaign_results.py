@@ -201,6 +201,7 @@ def test_known_shares_are_recovered(seed):
         assert 0.0 <= low <= share <= high <= 1.0, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [0, 1000])
 def test_intervals_of_shares_hold_as_often_as_they_say(first):
     held, widest = np.zeros(9), 0.0

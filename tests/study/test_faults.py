@@ -20,6 +20,8 @@ from gtmr_study.faults.campaign import broken, markdown, try_faults
 from gtmr_study.faults.fault import Fault, OneByOne, Outcome
 from gtmr_study.faults.vehicle import hover_without
 
+pytestmark = pytest.mark.slow
+
 FAULTS = catalogue.faults()
 TRIED = (
     "bad-network",

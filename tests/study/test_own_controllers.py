@@ -22,6 +22,8 @@ from gtmr_study.campaign.trial import fly_trial
 from gtmr_study.own_controller import OwnController
 from gtmr_study.result_files import InputError
 
+pytestmark = pytest.mark.slow
+
 LQR = Path(__file__).parents[2] / "examples" / "05_own_controller.py"
 BROKEN = """
 import numpy as np

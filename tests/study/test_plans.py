@@ -68,6 +68,7 @@ def test_more_trials_than_points_go_round_with_other_gusts():
     assert first.seed != again.seed
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 2**63), trial=st.integers(0, 10**6))
 def test_random_trials_lie_in_the_box_whatever_the_seed(seed, trial):
     scenario = Study(seed=seed).scenario(trial)
