@@ -147,8 +147,8 @@ MUTATIONS = [
     ),
     (
         "src/gtmr_monitor/bag/reader.py",
-        "validate_crcs=True",
-        "validate_crcs=False",
+        "breakup_chunk(record, validate_crc=True)",
+        "breakup_chunk(record, validate_crc=False)",
         "tests/monitor/test_bag.py::test_damaged_anywhere_it_never_gives_a_message_that_was_not_written",
     ),
     (
@@ -172,8 +172,8 @@ MUTATIONS = [
     ),
     (
         "src/gtmr_guard/c/gtmr_guard.c",
-        "usable = usable && fabs",
-        "usable = 1 + fabs",
+        "if (!(fabs(u_due[i]) <= k->max_command_hz_s))",
+        "if (0)",
         "tests/guard/test_law.py::"
         "test_a_command_that_cannot_be_used_puts_it_in_charge_within_two_steps",
     ),

@@ -79,7 +79,7 @@ class CompiledGuard:
             age_s,
             self._out,
         )
-        return cause, self._u.copy() if cause or overdue_s >= 0.0 else u_due
+        return cause, self._u.copy()
 
 
 @lru_cache(maxsize=16)

@@ -70,7 +70,8 @@ class ReferenceGuard:
         self._estimate(dt_s, x[0:3], x[3:6], x[12:])
         self._decide(dt_s, u_due, overdue_s, age_s)
         if self.cause == NONE:
-            return NONE, u_due if overdue_s < 0.0 else np.zeros(len(u_due))
+            flown = overdue_s < 0.0 and self._is_usable(u_due)
+            return NONE, u_due if flown else np.zeros(len(u_due))
         return self.cause, self._retreat()
 
     def _estimate(self, dt: float, p: Array, eta: Array, xi: Array) -> None:
@@ -127,6 +128,10 @@ class ReferenceGuard:
                 self.d = limited(self.d + gamma / (dt * dt) * e, MAX_DISTURBANCE_M_S2)
         self.v, self._thrust = limited(v, MAX_V_M_S), thrust
 
+    def _is_usable(self, u_due: Array) -> bool:
+        """Whether a command is one that rotors can be told; no number is not."""
+        return bool((np.abs(u_due) <= self._is.max_command_hz_s).all())
+
     def _decide(self, dt: float, u_due: Array, overdue_s: float, age_s: float) -> None:
         k = self._is
         if self._warm_s < 0.0:
@@ -145,11 +150,9 @@ class ReferenceGuard:
         stop = clearance + 0.5 * k.reaction_s * (v_r + v_then)
         stop -= v_then * v_then / (2.0 * k.brake_m_s2)
         unstoppable = v_r < 0.0 and stop < k.zone_m
-        # Not a number compares as false.
-        usable = bool((np.abs(u_due) <= k.max_command_hz_s).all())
 
         cause = NONE
-        if not usable:
+        if not self._is_usable(u_due):
             cause = UNUSABLE
         elif overdue_s > k.patience_s or age_s > k.max_plan_age_s:
             cause = ENDED

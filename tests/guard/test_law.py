@@ -59,6 +59,15 @@ def test_c_and_numpy_decide_and_command_alike(vehicle, seed):
         np.testing.assert_allclose(ours, expected, rtol=1e-9, atol=1e-7)
 
 
+@pytest.mark.parametrize("law", [CompiledGuard, ReferenceGuard])
+def test_before_the_first_measurement_no_unusable_command_reaches_the_rotors(law):
+    guard = law(parameters(VEHICLES["paper"], TOWER, GuardConfig()))
+    unseen = np.full(18, np.nan)
+    for u in (np.full(6, np.nan), np.full(6, 1e6)):
+        assert guard.step(0.025, unseen, u, -0.1, 0.0)[1] == pytest.approx(np.zeros(6))
+    assert guard.step(0.025, unseen, np.full(6, 5.0), -0.1, 0.0)[1] == pytest.approx(5.0)
+
+
 def test_without_a_compiler_numpy_flies_and_says_so(monkeypatch, capfd):
     monkeypatch.setenv("CC", "no-compiler-of-the-guard")
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/none")

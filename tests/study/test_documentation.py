@@ -10,6 +10,7 @@
 
 import importlib
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -61,3 +62,15 @@ def test_help_of_the_command_line_loads_nothing_large():
 
     assert "campaign" in run.stdout
     assert run.stderr.strip() == "[]"
+
+
+def test_mistakes_made_on_purpose_can_still_be_made_and_are_those_in_the_docs():
+    script = ROOT / "bench" / "mutations.py"
+    told = subprocess.run(
+        [sys.executable, script, "--table"], capture_output=True, text=True, check=True
+    ).stdout
+    assert told in (ROOT / "docs" / "testing.md").read_text(encoding="utf-8")
+    for name, text, _, test in runpy.run_path(str(script))["MUTATIONS"]:
+        assert (ROOT / name).read_text(encoding="utf-8").count(text) == 1, (name, text)
+        file, _, function = test.partition("::")
+        assert f"def {function.partition('[')[0]}" in (ROOT / file).read_text(encoding="utf-8")

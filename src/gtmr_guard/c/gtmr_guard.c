@@ -232,11 +232,20 @@ static double radial(const gtmr_guard *g, double *outward)
     return rho;
 }
 
+/* Whether a command is one that rotors can be told; no number is not. */
+static int is_usable(const gtmr_guard_parameters *k, const double *u_due)
+{
+    int i;
+    for (i = 0; i < ROTORS; i++)
+        if (!(fabs(u_due[i]) <= k->max_command_hz_s))
+            return 0;
+    return 1;
+}
+
 static void decide(gtmr_guard *g, double dt_s, const double *u_due, double overdue_s, double age_s)
 {
     const gtmr_guard_parameters *k = &g->is;
     double outward[3], clearance, v_r, v_then, stop, speed, rate;
-    int usable = 1, i;
     gtmr_guard_cause cause = GTMR_GUARD_NONE;
     if (g->warm_s < 0.0)
         return;
@@ -249,10 +258,8 @@ static void decide(gtmr_guard *g, double dt_s, const double *u_due, double overd
     v_then = v_r + k->reaction_s * fmin(dot(outward, g->thrust) + dot(outward, g->d), 0.0);
     stop = clearance + 0.5 * k->reaction_s * (v_r + v_then);
     stop -= v_then * v_then / (2.0 * k->brake_m_s2);
-    for (i = 0; i < ROTORS; i++)
-        usable = usable && fabs(u_due[i]) <= k->max_command_hz_s; /* false for NaN */
 
-    if (!usable)
+    if (!is_usable(k, u_due))
         cause = GTMR_GUARD_UNUSABLE;
     else if (overdue_s > k->patience_s || age_s > k->max_plan_age_s)
         cause = GTMR_GUARD_ENDED;
@@ -397,7 +404,7 @@ gtmr_guard_cause gtmr_guard_step(gtmr_guard *guard, double dt_s, const double *p
     decide(guard, dt_s, u_due, overdue_s, age_s);
     if (guard->cause != GTMR_GUARD_NONE)
         retreat(guard, u);
-    else if (overdue_s < 0.0)
+    else if (overdue_s < 0.0 && is_usable(&guard->is, u_due))
         memcpy(u, u_due, ROTORS * sizeof *u);
     else
         memset(u, 0, ROTORS * sizeof *u);

@@ -22,7 +22,7 @@ from gtmr_msgs_py.wire.message_error import MessageError
 
 
 @dataclass(frozen=True)
-class Tightening:
+class PublishedTightening:
     """The margins of a controller step."""
 
     by_channel: NDArray[np.float64]
@@ -62,7 +62,7 @@ def encode(
     return msg
 
 
-def decode(msg: Float64MultiArray) -> Tightening:
+def decode(msg: Float64MultiArray) -> PublishedTightening:
     """Read the margins; raises MessageError if labels or sizes are not those of `encode`."""
     labels = [dim.label for dim in msg.layout.dim]
     if labels != [STAGE, ",".join(COLUMNS)]:
@@ -74,4 +74,4 @@ def decode(msg: Float64MultiArray) -> Tightening:
             f"{len(COLUMNS)}"
         )
     rows = rows.reshape(-1, len(COLUMNS))
-    return Tightening(rows[:, :N_ZETA], *rows[:, N_ZETA:].T)
+    return PublishedTightening(rows[:, :N_ZETA], *rows[:, N_ZETA:].T)

@@ -16,7 +16,7 @@ import numpy as np
 
 from gtmr_model.dynamics import POSITION
 from gtmr_sim.session import NANOSECONDS
-from gtmr_study.faults.loop import Disturbance, Flight, Link, Measurement, Sent
+from gtmr_study.faults.loop import Disturbance, DisturbedFlight, Link, Measurement, Sent
 
 Range = tuple[float, float]
 CLEAR = "stays clear of the tower, and is back at its reference within 6 s of the end"
@@ -34,7 +34,7 @@ def lost(share: float) -> Link:
 def late(delay_s: Range) -> Link:
     """Hold all messages back by a delay of this flight, from a range [s]."""
 
-    def link(flight: Flight, message: Any) -> Sent:
+    def link(flight: DisturbedFlight, message: Any) -> Sent:
         return [(flight.once("delay", lambda: float(flight.rng.uniform(*delay_s))), message)]
 
     return link
@@ -45,37 +45,37 @@ def uneven(delay_s: Range) -> Link:
     return lambda flight, message: [(float(flight.rng.uniform(*delay_s)), message)]
 
 
-def twice(flight: Flight, message: Any) -> Sent:
+def twice(flight: DisturbedFlight, message: Any) -> Sent:
     """Carry a message twice, the second time up to 50 ms later."""
     return [(0.0, message), (float(flight.rng.uniform(0.0, 0.05)), message)]
 
 
-def stuck(flight: Flight, message: Any) -> Sent:
+def stuck(flight: DisturbedFlight, message: Any) -> Sent:
     """Carry the first message again and again."""
     return [(0.0, flight.once("first", lambda: message))]
 
 
-def bad_network(flight: Flight, message: Any) -> Sent:
+def bad_network(flight: DisturbedFlight, message: Any) -> Sent:
     """Lose a fifth, double a fifth, and hold each back by up to 20 ms."""
     copies = flight.rng.choice([0, 1, 2], p=[0.2, 0.6, 0.2])
     return [(float(flight.rng.uniform(0.0, 0.02)), message) for _ in range(copies)]
 
 
-def changed(share: float, change: Callable[[Flight, Any], Any]) -> Link:
+def changed(share: float, change: Callable[[DisturbedFlight, Any], Any]) -> Link:
     """Change a share of the messages."""
 
-    def link(flight: Flight, message: Any) -> Sent:
+    def link(flight: DisturbedFlight, message: Any) -> Sent:
         return [(0.0, change(flight, message) if flight.rng.random() < share else message)]
 
     return link
 
 
-def frozen(flight: Flight, m: Measurement) -> Measurement:
+def frozen(flight: DisturbedFlight, m: Measurement) -> Measurement:
     """Keep the state of the first under new stamps."""
     return replace(m, x=flight.once("first", lambda: m.x))
 
 
-def not_finite(flight: Flight, message: Any) -> Any:
+def not_finite(flight: DisturbedFlight, message: Any) -> Any:
     """Put a number that is none among the others."""
     name = "x" if isinstance(message, Measurement) else "u_plan"
     values = getattr(message, name).copy()
@@ -83,23 +83,23 @@ def not_finite(flight: Flight, message: Any) -> Any:
     return replace(message, **{name: values})
 
 
-def jumped(flight: Flight, m: Measurement) -> Measurement:
+def jumped(flight: DisturbedFlight, m: Measurement) -> Measurement:
     """Move the position by 0.5 to 10 m, to anywhere."""
     return _moved(m, flight.rng.uniform(0.5, 10.0) * _direction(flight))
 
 
-def stepped(flight: Flight, m: Measurement) -> Measurement:
+def stepped(flight: DisturbedFlight, m: Measurement) -> Measurement:
     """Move the position by 0.1 m, in one direction of this flight."""
     return _moved(m, flight.once("step", lambda: 0.1 * _direction(flight)))
 
 
-def drifting(flight: Flight, m: Measurement) -> Measurement:
+def drifting(flight: DisturbedFlight, m: Measurement) -> Measurement:
     """Move the position by 0.05 m for each second, in one direction of this flight."""
     along = flight.once("direction", lambda: _direction(flight))
     return _moved(m, 0.05 * (flight.time_s - flight.starts_s) * along)
 
 
-def _direction(flight: Flight) -> Any:
+def _direction(flight: DisturbedFlight) -> Any:
     direction = flight.rng.standard_normal(3)
     return direction / np.linalg.norm(direction)
 
@@ -110,17 +110,17 @@ def _moved(m: Measurement, by_m: Any) -> Measurement:
     return replace(m, x=x)
 
 
-def stamped(offset_s: Range) -> Callable[[Flight, Any], Any]:
+def stamped(offset_s: Range) -> Callable[[DisturbedFlight, Any], Any]:
     """Put a stamp off by a time from a range [s]."""
 
-    def change(flight: Flight, message: Any) -> Any:
+    def change(flight: DisturbedFlight, message: Any) -> Any:
         off_ns = round(NANOSECONDS * flight.rng.uniform(*offset_s))
         return replace(message, stamp_ns=max(0, message.stamp_ns + off_ns))
 
     return change
 
 
-def scaled(flight: Flight, message: Any) -> Any:
+def scaled(flight: DisturbedFlight, message: Any) -> Any:
     """Command far more than the rotors can do."""
     factor = flight.rng.uniform(10.0, 1e6) * flight.rng.choice([-1.0, 1.0])
     return replace(message, u_plan=factor * message.u_plan)

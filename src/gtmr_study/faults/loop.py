@@ -71,16 +71,16 @@ class Command:
 
 Sent = Iterable[tuple[float, Any]]
 """What a link makes of a message: how late each copy arrives [s], and the copy."""
-Link = Callable[["Flight", Any], Sent]
-Action = Callable[["Flight"], None]
+Link = Callable[["DisturbedFlight", Any], Sent]
+Action = Callable[["DisturbedFlight"], None]
 
 
-def untouched(_: Flight, message: Any) -> Sent:
+def untouched(_: DisturbedFlight, message: Any) -> Sent:
     """Carry a message as it should be."""
     return [(0.0, message)]
 
 
-def nothing(_: Flight) -> None:
+def nothing(_: DisturbedFlight) -> None:
     """Do nothing."""
 
 
@@ -114,7 +114,7 @@ class Disturbance:
 
     def __call__(self, rng: Rng) -> Outcome:
         """Try it once."""
-        return Flight(self, rng).outcome()
+        return DisturbedFlight(self, rng).outcome()
 
 
 class Pilot:
@@ -159,7 +159,7 @@ class Pilot:
         return self._last
 
 
-class Flight:
+class DisturbedFlight:
     """One flight under one disturbance."""
 
     def __init__(self, disturbance: Disturbance, rng: Rng) -> None:

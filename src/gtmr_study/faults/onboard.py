@@ -17,20 +17,28 @@ import numpy as np
 from gtmr_model.dynamics import ATTITUDE, POSITION, RATE, VELOCITY
 from gtmr_nmpc import Controller, Solution
 from gtmr_study.faults.links import CLEAR, D_MIN_M, KEEPS
-from gtmr_study.faults.loop import Action, Command, Disturbance, Flight, Pilot, Sent, controller
+from gtmr_study.faults.loop import (
+    Action,
+    Command,
+    Disturbance,
+    DisturbedFlight,
+    Pilot,
+    Sent,
+    controller,
+)
 
 
-def kill(flight: Flight) -> None:
+def kill(flight: DisturbedFlight) -> None:
     """End the controller's process."""
     flight.pilot = None
 
 
-def start(flight: Flight) -> None:
+def start(flight: DisturbedFlight) -> None:
     """Start a new one, which knows nothing."""
     flight.pilot = Pilot(controller())
 
 
-def reset_world(flight: Flight) -> None:
+def reset_world(flight: DisturbedFlight) -> None:
     """Begin the same flight again under a controller that goes on."""
     flight.session.reset()
 
@@ -58,20 +66,20 @@ class FailingController:
 def failing(share: float) -> Action:
     """Let the solver give up in a share of the steps."""
 
-    def begin(flight: Flight) -> None:
+    def begin(flight: DisturbedFlight) -> None:
         if flight.pilot is not None:
             flight.pilot.controller = FailingController(controller(), flight.rng, share)
 
     return begin
 
 
-def well_again(flight: Flight) -> None:
+def well_again(flight: DisturbedFlight) -> None:
     """Let the solver do its work again."""
     if flight.pilot is not None:
         flight.pilot.controller = controller()
 
 
-def slow(flight: Flight, message: Command) -> Sent:
+def slow(flight: DisturbedFlight, message: Command) -> Sent:
     """Let a step take 20 to 200 ms, in which no other one is begun."""
     busy_until_s = flight.once("busy", dict)
     if flight.time_s < busy_until_s.get("s", 0.0):
@@ -81,10 +89,10 @@ def slow(flight: Flight, message: Command) -> Sent:
     return [(takes_s, message)]
 
 
-def placed(change: Callable[[Flight, Any], None]) -> Action:
+def placed(change: Callable[[DisturbedFlight, Any], None]) -> Action:
     """Put the vehicle somewhere else at once, state x of shape (12 + N_p,)."""
 
-    def begin(flight: Flight) -> None:
+    def begin(flight: DisturbedFlight) -> None:
         x = flight.simulation.x.copy()
         change(flight, x)
         flight.simulation.plant.x = x
@@ -92,33 +100,33 @@ def placed(change: Callable[[Flight, Any], None]) -> Action:
     return begin
 
 
-def inverted(flight: Flight, x: Any) -> None:
+def inverted(flight: DisturbedFlight, x: Any) -> None:
     """Roll it over, 2 m off the tower and 60 m up: to turn it again costs height."""
     x[POSITION][:2] *= 3.0 / np.hypot(*x[POSITION][:2])
     x[POSITION][2] += 40.0
     x[ATTITUDE][0] = np.pi + flight.rng.uniform(-0.5, 0.5)
 
 
-def forbidden(flight: Flight, x: Any) -> None:
+def forbidden(flight: DisturbedFlight, x: Any) -> None:
     """Put it at rest between the tower's surface and d_min."""
     radius_m = flight.scenario.tower.radius_m + flight.rng.uniform(0.02, D_MIN_M)
     x[POSITION][:2] *= radius_m / np.hypot(*x[POSITION][:2])
     x[VELOCITY] = 0.0
 
 
-def towards(flight: Flight, x: Any) -> None:
+def towards(flight: DisturbedFlight, x: Any) -> None:
     """Let it fly at the tower with 0.2 to 0.6 m/s."""
     outward = x[POSITION][:2] / np.hypot(*x[POSITION][:2])
     x[VELOCITY][:2] -= flight.rng.uniform(0.2, 0.6) * outward
 
 
-def too_fast(flight: Flight, x: Any) -> None:
+def too_fast(flight: DisturbedFlight, x: Any) -> None:
     """Let it fly along its way with 3 to 8 m/s more."""
     along = x[VELOCITY][:2] / np.hypot(*x[VELOCITY][:2])
     x[VELOCITY][:2] += flight.rng.uniform(3.0, 8.0) * along
 
 
-def spinning(flight: Flight, x: Any) -> None:
+def spinning(flight: DisturbedFlight, x: Any) -> None:
     """Let it turn with up to 6 rad/s about each axis, 2 m off the tower."""
     x[POSITION][:2] *= 3.0 / np.hypot(*x[POSITION][:2])
     x[RATE] = flight.rng.uniform(-6.0, 6.0, 3)

@@ -23,7 +23,7 @@ from gtmr_sim import GustConfig, Scenario
 from gtmr_sim.plant import Effect, Plant
 from gtmr_study.faults.fault import Rng
 from gtmr_study.faults.links import COUNTED
-from gtmr_study.faults.loop import Action, Disturbance, Flight, world
+from gtmr_study.faults.loop import Action, Disturbance, DisturbedFlight, world
 
 
 @lru_cache(maxsize=64)
@@ -53,21 +53,21 @@ class StuckRotorPlant(Plant):
 def weaken(share: float) -> Action:
     """Leave a rotor, which one is drawn, only a share of its thrust."""
 
-    def begin(flight: Flight) -> None:
+    def begin(flight: DisturbedFlight) -> None:
         rotor = int(flight.rng.integers(flight.scenario.vehicle.n_rotors))
         flight.simulation.plant = _plant(Plant, flight, (weak_rotor(rotor, share),))
 
     return begin
 
 
-def stick(flight: Flight) -> None:
+def stick(flight: DisturbedFlight) -> None:
     """Let a rotor, which one is drawn, hold its speed from now on."""
     plant = _plant(StuckRotorPlant, flight, ())
     plant.rotor = int(flight.rng.integers(flight.scenario.vehicle.n_rotors))
     flight.simulation.plant = plant
 
 
-def _plant(kind: type[Any], flight: Flight, effects: tuple[Effect, ...]) -> Any:
+def _plant(kind: type[Any], flight: DisturbedFlight, effects: tuple[Effect, ...]) -> Any:
     scenario, old = flight.scenario, flight.simulation.plant
     return kind(scenario.vehicle, old.zeta, old.x, scenario.step_s, scenario.tower, effects)
 
