@@ -167,6 +167,18 @@ def test_a_bag_of_other_topics_is_refused_and_stays_as_it_is(start, tmp_path, sa
     assert {p: p.read_bytes() for p in (tmp_path / "bag").iterdir()} == before
 
 
+def test_a_bag_that_another_recorder_is_writing_is_refused_whole(start, said, tmp_path):
+    first = start()
+    write(first, range(5))
+    first.flush()
+    with pytest.raises(BagError, match="another recorder is writing it"):
+        start()
+    write(first, range(5, 9))
+    first.close()
+    assert [m.log_time_ns for m in read_messages(tmp_path / "bag")] == list(range(9))
+    assert not said
+
+
 def test_there_is_none_where_something_else_is(tmp_path, said):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(BagError, match="not empty"):

@@ -8,6 +8,7 @@
 
 """Writing a rosbag2 folder that survives being killed: metadata.yaml (version 9) and MCAP."""
 
+import fcntl
 import math
 import os
 import re
@@ -43,10 +44,16 @@ class _Channel:
 
 
 class _File:
-    """A new file without a buffer, so that nothing is left behind in a killed process."""
+    """A new file without a buffer, so that nothing is left behind in a killed process.
+
+    It is locked until it is closed or its process ends, so that nobody takes it for torn off.
+    """
 
     def __init__(self, path: Path) -> None:
         self._raw = path.open("xb", buffering=0)
+        # Some file systems have no locks.
+        with suppress(OSError):
+            fcntl.flock(self._raw, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     @property
     def closed(self) -> bool:
@@ -85,8 +92,8 @@ class BagWriter:
     A chunk is closed and flushed to the operating system at the latest with the first write after
     ``flush_period_s`` [s], or by :meth:`flush`. Nothing that exists is ever overwritten: in a
     folder with a bag of no other topics than ``resume`` it goes on in another file, for one
-    recorder after the other. Raises BagError if the folder holds anything else, is no folder, or
-    cannot be written.
+    recorder after the other. Raises BagError if the folder holds anything else, is being written
+    by another recorder, is no folder, or cannot be written.
     """
 
     def __init__(
@@ -292,6 +299,7 @@ class BagWriter:
         if not self._file.closed:
             with suppress(OSError):
                 self._file.truncate(self._intact_bytes)
+            with suppress(OSError):
                 self._file.close()
         raise BagError(f"{self._path}: cannot write: {error.strerror}") from None
 
@@ -305,6 +313,8 @@ class BagWriter:
         if strange or not resume:
             raise BagError(f"{self.folder}: the folder is not empty; give a new one")
         files = [file for file in bag_files(self.folder) if own.fullmatch(file.name)]
+        if any(map(_is_being_written, files)):
+            raise BagError(f"{self.folder}: another recorder is writing it; give a new one")
         others = {topic for file in files for topic in topics_in(file)} - set(resume)
         if others:
             raise BagError(
@@ -350,6 +360,17 @@ class BagWriter:
             "custom_data": None,
             "ros_distro": ROS_DISTRO,
         }
+
+
+def _is_being_written(file: Path) -> bool:
+    with file.open("rb") as raw:
+        try:
+            fcntl.flock(raw, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+    return False
 
 
 def _span(start_ns: int, end_ns: int, messages: int) -> Mapping[str, Any]:
