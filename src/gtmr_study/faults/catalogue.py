@@ -16,7 +16,7 @@ from gtmr_study.faults.vehicle import VEHICLE
 
 LOOP_TRIES, LOOP_QUICK = 230, 4
 """How often each fault of the closed loop is tried, and how often in the quick campaign."""
-NOT_ALWAYS = ("odometry-frozen", "rotor-at-50", "rotor-at-0", "rotor-stuck")
+NOT_ALWAYS = ("odometry-frozen", "rotor-at-50", "rotor-at-0", "rotor-stuck", "start-spinning")
 """Faults of the loop under which nothing is promised; it is counted what happens."""
 
 

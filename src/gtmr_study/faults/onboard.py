@@ -16,7 +16,7 @@ import numpy as np
 
 from gtmr_model.dynamics import ATTITUDE, POSITION, RATE, VELOCITY
 from gtmr_nmpc import Controller, Solution
-from gtmr_study.faults.links import CLEAR, D_MIN_M, KEEPS
+from gtmr_study.faults.links import CLEAR, COUNTED, D_MIN_M, KEEPS
 from gtmr_study.faults.loop import (
     Action,
     Command,
@@ -155,7 +155,7 @@ CONTROLLER: dict[str, tuple[str, Disturbance]] = {
         Disturbance(AT_ONCE, begin=placed(too_fast), recovers=False),
     ),
     "start-spinning": (
-        "stays clear of the tower",
+        COUNTED,
         Disturbance(AT_ONCE, begin=placed(spinning), recovers=False),
     ),
 }
