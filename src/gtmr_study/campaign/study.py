@@ -17,7 +17,7 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 from typing_extensions import Self
 
 from gtmr_model import ConfigError, UncertaintySet, YamlModel
-from gtmr_nmpc import MODES, ControllerConfig, Mode
+from gtmr_nmpc import MODES, PAPER_MODES, ControllerConfig, Mode
 from gtmr_sim import GustConfig, Scenario
 from gtmr_sim.scenario import EffectNames, whole_steps
 from gtmr_study.campaign.plans import TrialPlan
@@ -46,7 +46,7 @@ class Study(YamlModel):
 
     controller: NamedController = Field(default_factory=lambda: _by_name("default"))
     """The controller, with the vehicle, tower and helix that it believes in."""
-    modes: tuple[Mode, ...] = Field(MODES, min_length=1)
+    modes: tuple[Mode, ...] = Field(PAPER_MODES, min_length=1)
     """Which modes fly every trial."""
     own_controller: ControllerFingerprint | None = None
     """What flies instead, in one mode that is called like it. This only says what it is: its file
