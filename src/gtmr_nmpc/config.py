@@ -73,7 +73,7 @@ class OdometryNoise(YamlModel):
 class DisturbanceModel(YamlModel):
     """How force and torque beyond the nominal model are believed to change."""
 
-    bias_n_per_sqrt_s: float = Field(0.5, gt=0.0)
+    bias_n_per_sqrt_s: float = Field(2.0, gt=0.0)
     """Random walk of the persistent force, per axis [N/sqrt(s)]."""
     gust_n: float = Field(0.3, gt=0.0)
     """Standard deviation of the gust force, per axis [N]."""

@@ -54,7 +54,7 @@ def export_c(config: ControllerConfig, mode: Mode, folder: Path) -> list[Path]:
 
 
 def _parameters_header(config: ControllerConfig) -> str:
-    values = parameters(config)
+    values = parameters(config, observes=True)
     fields = ",\n".join(
         f"    /* {name} */ {_literal(getattr(values, name))}" for name, _ in CParameters._fields_
     )

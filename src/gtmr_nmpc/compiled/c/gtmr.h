@@ -45,10 +45,10 @@ typedef struct {
     double slack_l2;
     /* Whether alpha_p enters the QP with its gradient: 0 or 1. */
     double with_margin_gradient;
-    /* Observer: gains of [p v b g] by [p v] and of [eta omega tau] by [eta omega], bounds of theta,
-     * what is left of g after T_s. */
-    double translation_gains[4][2];
-    double rotation_gains[3][3][2];
+    /* Observer: gains of [p v b g] by [p v], and of [eta omega tau] by [eta omega] on each axis, row
+     * by row; bounds of theta; what is left of g after T_s. */
+    double translation_gains[4 * 2];
+    double rotation_gains[3 * 3 * 2];
     double theta_bounds[9];
     double gust_decay;
 } gtmr_parameters;

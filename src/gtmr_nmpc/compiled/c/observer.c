@@ -43,7 +43,8 @@ static void correct(gtmr_controller *c, const double *measured)
         const double far = measured[j] - x[j], fast = measured[6 + j] - x[6 + j];
         const double turned = remainder(measured[3 + j] - x[3 + j], 2.0 * 3.14159265358979323846);
         const double turning = measured[9 + j] - x[9 + j];
-        const double(*shift)[2] = by->translation_gains, (*turn)[2] = by->rotation_gains[j];
+        const double(*shift)[2] = (const double(*)[2])by->translation_gains;
+        const double(*turn)[2] = (const double(*)[2])(by->rotation_gains + 6 * j);
         x[j] += shift[0][0] * far + shift[0][1] * fast;
         x[6 + j] += shift[1][0] * far + shift[1][1] * fast;
         theta[j] += shift[2][0] * far + shift[2][1] * fast;
