@@ -195,7 +195,7 @@ class Controller:
                 self._iteration.disturb(None)
                 self._forget()
         if share > 0.0:
-            self._iteration.disturb(share * self._theta)
+            self._iteration.disturb(self._theta if share == 1.0 else share * self._theta)
         return blend
 
     def _blended(self, share: float) -> ControllerConfig:
@@ -211,7 +211,8 @@ class Controller:
         scale, share = blend.margin_scale, blend.offset_free_scale
         self._iteration.prepare(now, scale)
         if share > 0.0:
-            own = self._offset_free_tightening().scaled(share)
+            own = self._offset_free_tightening()
+            own = own if share == 1.0 else own.scaled(share)
             if scale > 0.0:
                 margin = self._margin or PaperMargin()
                 own = own.plus(tightening_of(margin, self._iteration.linearised()).scaled(scale))

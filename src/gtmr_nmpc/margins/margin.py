@@ -47,17 +47,17 @@ class Tightening:
         eps = np.asarray(eps_s, dtype=float)
         return cls(np.zeros((len(eps), N_ZETA)), eps, np.zeros(len(eps)))
 
-    @property
+    @cached_property
     def parametric(self) -> Array:
         """alpha_p, shape (N + 1,)."""
         return np.asarray(self.by_channel.sum(axis=1) + self.eps_s)
 
-    @property
+    @cached_property
     def random(self) -> Array:
         """alpha_g, for gusts and noise, shape (N + 1,)."""
         return np.asarray(self.gust + self.noise)
 
-    @property
+    @cached_property
     def total(self) -> Array:
         """alpha_p + alpha_g, shape (N + 1,)."""
         return self.parametric + self.random
