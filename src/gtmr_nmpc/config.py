@@ -89,7 +89,7 @@ class OffsetFree(YamlModel):
     weights: Weights = Weights(
         position=(500.0, 500.0, 800.0),
         terminal_position=(800.0, 800.0, 1200.0),
-        rotor_acceleration=1e-5,
+        rotor_acceleration=1e-6,
     )
     """The cost."""
     noise: OdometryNoise = OdometryNoise()

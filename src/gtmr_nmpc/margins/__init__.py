@@ -12,6 +12,7 @@ from gtmr_nmpc.margins.closed_loop import ClosedLoopMargin, Deviations
 from gtmr_nmpc.margins.fixed import FixedMargin
 from gtmr_nmpc.margins.margin import Iterate, Margin, Tightening
 from gtmr_nmpc.margins.paper import PaperMargin
+from gtmr_nmpc.margins.second_order import SecondOrderMargin
 
 __all__ = [
     "ClosedLoopMargin",
@@ -20,5 +21,6 @@ __all__ = [
     "Iterate",
     "Margin",
     "PaperMargin",
+    "SecondOrderMargin",
     "Tightening",
 ]

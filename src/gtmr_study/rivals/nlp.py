@@ -166,7 +166,7 @@ class InspectionNlp:
 
 
 def _discrete(config: ControllerConfig) -> tuple[ca.Function, ca.Function]:
-    """One shooting interval, (x, u, zeta, disturbance) -> x_next, and derivatives by x and zeta."""
+    """One shooting interval, (x, u, zeta, disturbance) -> x_next; derivatives by x and zeta."""
     xs, us, zs, force = symbols(config.vehicle)
     torque = ca.SX.sym("torque", 3)
     x_next = rk4_step(
