@@ -60,7 +60,7 @@ def test_no_vertex_exceeds_the_second_order_margin_as_some_do_the_papers(plan):
         assert exceed(PaperMargin()) > 0
         # It is no wider than it must be.
         alpha = SecondOrderMargin().tightening(plan).by_channel.sum(axis=1)
-        assert closer[-1].max() > 0.99 * alpha[-1]
+        assert closer[-1].max() > 0.95 * alpha[-1]
 
 
 def test_second_derivatives_are_those_of_differences(plan):
