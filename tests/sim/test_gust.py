@@ -13,7 +13,8 @@ import pytest
 
 from gtmr_model import UncertaintySet
 from gtmr_sim import GUST_KINDS, GustConfig, Scenario
-from gtmr_sim.gust import FOOT_M, dryden, make_gust
+from gtmr_sim.gust import make_gust
+from gtmr_sim.noise import FOOT_M, dryden
 
 POSITION = np.array([0.0, 1.35, 2.0])
 
