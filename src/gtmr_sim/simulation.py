@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gtmr_guard import Guard, GuardConfig
+from gtmr_model.dynamics import POSITION, ROTORS, YAW
 from gtmr_sim.gust import make_gust
 from gtmr_sim.plant import Plant
 from gtmr_sim.registry import EFFECTS
@@ -29,8 +30,9 @@ Array = NDArray[np.float64]
 WATCH_PERIOD_S = 0.025
 """Between two looks of the guard while a plan is in charge, at most [s]."""
 GUARD_PERIOD_S = 0.005
-"""Between two of its looks while it is in charge itself, at most [s]. In a world that measures it
-looks at every measurement instead."""
+"""Between two of its looks while it is in charge itself, at most [s]."""
+WARM_UP_S = 1.0
+"""How long the guard has watched a vehicle before its flight, where it is measured [s]."""
 MAX_GUARD_DELAY_S = 0.2
 """Delay beyond which the guard slows no further [s]."""
 
@@ -72,8 +74,6 @@ class Simulation:
             self._sample = self._steps("the period of rate_hz", 1.0 / odometry.rate_hz)
         self._guard = None
         if scenario.guard == "retreat":
-            if not odometry.is_truth:
-                self._watch = self._act = self._sample
             # A controller that plans seldom may miss two plans as well, and late measurements make
             # plans late.
             usual, late_s = GuardConfig(), odometry.delay_s
@@ -116,7 +116,24 @@ class Simulation:
         self._guarded_steps = 0
         if self._guard is not None:
             self._guard.reset()
+            if self._sensor is not None:
+                self._warm_up(self._guard)
         self._draw_gust()
+
+    def _warm_up(self, guard: Guard) -> None:
+        """Let the guard watch a vehicle on its way to the start: noise is no speed then."""
+        helix, tower, x = self.scenario.helix, self.scenario.tower, self.x.copy()
+        step_s = self.scenario.step_s
+        # With random numbers of its own, or the guard would change the flight's.
+        sensor = Sensor(
+            self.scenario.world.odometry, self.scenario.rng("guard"), step_s, self._act
+        )
+        period_s = self._act * step_s
+        before = helix.at(-period_s * np.arange(round(WARM_UP_S / period_s), 0, -1), tower)
+        unmoved = np.zeros(self.scenario.vehicle.n_rotors)
+        for x[POSITION], x[YAW] in zip(before.position, before.yaw, strict=True):
+            guard.step(period_s, sensor.reading(x), unmoved, -period_s, 0.0)
+        self._looked = -self._act
 
     def _blow(self) -> None:
         """Start the wind of the scenario, if its world has one."""
@@ -335,7 +352,10 @@ class Simulation:
         if newest is None or newest[0] <= self._seen:
             return np.full_like(self.x, np.nan)
         self._seen = newest[0]
-        return newest[1]
+        seen = newest[1].copy()
+        # It sits at the actuators, whose speeds it reads at once.
+        seen[ROTORS] = self.x[ROTORS]
+        return seen
 
     def _draw_gust(self) -> None:
         self._w_g = self._gust(self.time_s, self.plant.x[:3])

@@ -100,10 +100,9 @@ class Sensor:
         self._on_way: list[tuple[int, int, Array]] = []
         self._newest: tuple[int, Array] | None = None
 
-    def measure(self, step: int, x: Array) -> None:
-        """Measure the true state x, shape (12 + N_p,), at a plant step; it arrives in time."""
+    def reading(self, x: Array) -> Array:
+        """Measure a state, shape (12 + N_p,), which is then as it would arrive."""
         noise, drift = self._rng.standard_normal(12), self._rng.standard_normal(3)
-        early, lost = self._rng.uniform(size=2)
         measured = x.copy()
         measured[:12] += self._std * noise
         measured[POSITION] += self._bias
@@ -113,6 +112,12 @@ class Sensor:
             measured[ROTORS] = quantum * np.round(measured[ROTORS] / quantum)
         spread = self._is.bias_std_m * math.sqrt(1.0 - self._kept**2)
         self._bias = self._kept * self._bias + spread * drift
+        return measured
+
+    def measure(self, step: int, x: Array) -> None:
+        """Measure the true state, shape (12 + N_p,), at a plant step; it arrives in time."""
+        measured = self.reading(x)
+        early, lost = self._rng.uniform(size=2)
         if step == 0:
             # A flight goes on from one before it: its first state is known.
             self._on_way.append((step, step, measured))
