@@ -75,7 +75,7 @@ class Flight:
     source: Path
     """The bag."""
     t: Array
-    """Times of the odometry [s], shape (n,)."""
+    """Times of position and attitude [s], shape (n,)."""
     p: Array
     """Position, world ENU [m], shape (n, 3)."""
     eta: Array
@@ -102,6 +102,9 @@ class Flight:
     """What was to be followed."""
     coverage: Coverage
     """What of the flight is recorded."""
+    clearance_from: str = "odom"
+    """What position and attitude are of: ``ground_truth``, or ``odom`` where that was not
+    recorded."""
     guarded: tuple[tuple[float, float], ...] | None = None
     """From when to when [s] the guard was in charge, in order; None if that was not recorded."""
     zeta: tuple[float, ...] | None = None
