@@ -280,6 +280,12 @@ class MonitorNode(SuiteNode):
             vehicle.knows_truth = self.count_publishers(vehicle.truth_name) > 0
         if not vehicle.knows_truth:
             self._watch(vehicle, data, came_ns)
+            return
+        # Not needed, but one that cannot be used is told of all the same.
+        try:
+            odometry.unpack(data, self._settings.value.frames)
+        except MessageError as error:
+            vehicle.drops.add(error)
 
     def _on_ground_truth(self, vehicle: WatchedVehicle, data: bytes, info: Info) -> None:
         came_ns = received_ns(info)
