@@ -80,7 +80,7 @@ def state_derivative(
     return ca.vertcat(v, euler_rate(eta, omega), force / mass - gravity, angular_acceleration, u)
 
 
-def rk4_step(x: Any, step_s: float, derivative: Any) -> Any:
+def rk4_step(x: Any, step_s: Any, derivative: Any) -> Any:
     """One step [s] of the classical fourth-order Runge-Kutta scheme, inputs held over it.
 
     The derivative maps a state, symbolic or of numbers, to its time derivative.
@@ -92,12 +92,14 @@ def rk4_step(x: Any, step_s: float, derivative: Any) -> Any:
     return x + step_s / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
 
 
-def discrete_step(x: Any, u: Any, zeta: Any, w_g: Any, vehicle: Vehicle, step_s: float) -> Any:
+def discrete_step(
+    x: Any, u: Any, zeta: Any, w_g: Any, vehicle: Vehicle, step_s: Any, torque: Any = 0.0
+) -> Any:
     """Discretise eq. (3), with the arguments of `state_derivative`, on CasADi symbols.
 
-    One RK4 step [s] with input, zeta and gust held.
+    One RK4 step [s] with input, zeta, gust and torque held.
     """
-    return rk4_step(x, step_s, lambda x: state_derivative(x, u, zeta, w_g, vehicle))
+    return rk4_step(x, step_s, lambda x: state_derivative(x, u, zeta, w_g, vehicle, torque))
 
 
 def symbols(vehicle: Vehicle) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:

@@ -8,13 +8,14 @@
 
 """The controller: nominal and sensitivity-based robust NMPC; only `node` knows ROS."""
 
-from gtmr_nmpc.config import MODES, ControllerConfig, Mode, Weights
+from gtmr_nmpc.config import MODES, PAPER_MODES, ControllerConfig, Mode, Weights
 from gtmr_nmpc.controller import Controller
 from gtmr_nmpc.margins import Iterate, Margin, Tightening
 from gtmr_nmpc.solution import Solution, Timing
 
 __all__ = [
     "MODES",
+    "PAPER_MODES",
     "Controller",
     "ControllerConfig",
     "Iterate",

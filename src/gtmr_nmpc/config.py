@@ -22,11 +22,14 @@ from gtmr_model import (
     Vehicle,
     YamlModel,
 )
-from gtmr_nmpc.margins import Margin, PaperMargin
+from gtmr_nmpc.margins import ClosedLoopMargin, Margin, PaperMargin
 
-Mode = Literal["nominal", "robust"]
-MODES: tuple[Mode, ...] = ("nominal", "robust")
-"""What the mode can be: the clearance constraint as in eq. (5), or tightened as in eq. (15)."""
+Mode = Literal["nominal", "robust", "offset_free"]
+MODES: tuple[Mode, ...] = ("nominal", "robust", "offset_free")
+"""What the mode can be: the clearance constraint as in eq. (5), tightened as in eq. (15), or
+tightened by the margins of a closed loop that estimates its disturbances."""
+PAPER_MODES: tuple[Mode, ...] = ("nominal", "robust")
+"""Those that the paper compares."""
 TighteningOrder = Literal["frozen", "gradient"]
 
 Weight = Annotated[float, Field(ge=0.0)]
@@ -52,6 +55,49 @@ class Weights(YamlModel):
     """Q_u [(Hz/s)^-2]; the paper does not report it."""
     terminal_position: Weight3 = (80.0, 80.0, 120.0)
     """Q_f [m^-2] (Table I)."""
+
+
+class OdometryNoise(YamlModel):
+    """Standard deviations of what is measured; small by default: the paper measures exactly."""
+
+    position_m: float = Field(1e-4, gt=0.0)
+    """Of each coordinate of p [m]."""
+    velocity_m_s: float = Field(1e-3, gt=0.0)
+    """Of each coordinate of v [m/s]."""
+    attitude_rad: float = Field(1e-4, gt=0.0)
+    """Of roll, pitch and yaw [rad]."""
+    rate_rad_s: float = Field(1e-3, gt=0.0)
+    """Of each coordinate of omega [rad/s]."""
+
+
+class DisturbanceModel(YamlModel):
+    """How force and torque beyond the nominal model are believed to change."""
+
+    bias_n_per_sqrt_s: float = Field(2.0, gt=0.0)
+    """Random walk of the persistent force, per axis [N/sqrt(s)]."""
+    gust_n: float = Field(0.3, gt=0.0)
+    """Standard deviation of the gust force, per axis [N]."""
+    gust_time_s: float = Field(0.5, gt=0.0)
+    """tau, correlation time of the gust force [s]."""
+    torque_nm_per_sqrt_s: float = Field(0.1, gt=0.0)
+    """Random walk of the torque, per axis [N m/sqrt(s)]."""
+
+
+class OffsetFree(YamlModel):
+    """What the mode ``offset_free`` has of its own; not in the paper."""
+
+    weights: Weights = Weights(
+        position=(500.0, 500.0, 800.0),
+        terminal_position=(800.0, 800.0, 1200.0),
+        rotor_acceleration=1e-6,
+    )
+    """The cost."""
+    noise: OdometryNoise = OdometryNoise()
+    """Of the odometry, from which the observer's gains follow."""
+    disturbance: DisturbanceModel = DisturbanceModel()
+    """What the observer looks for."""
+    margin: SerializeAsAny[Margin] = ClosedLoopMargin()
+    """By what the clearance is tightened."""
 
 
 class ControllerConfig(YamlModel):
@@ -86,6 +132,14 @@ class ControllerConfig(YamlModel):
     """How long the margins take to come in, or to go, after the mode was switched in flight [s];
     0 is at once, which jerks a vehicle that is inside the tightened shell. Chosen by measurement;
     the paper does not switch."""
+
+    offset_free: OffsetFree = OffsetFree()
+    """What the mode ``offset_free`` has of its own."""
+    delay_s: float = Field(0.0, ge=0.0, le=0.2)
+    """How old a state is when the command made from it acts [s]."""
+    motor_lag_s: float = Field(0.0, ge=0.0, le=0.2)
+    """Time constant with which rotors follow their speed setpoints [s]; 0 for rotors that take
+    accelerations, as in the paper."""
 
     @model_validator(mode="after")
     def _has_a_gradient(self) -> Self:

@@ -10,17 +10,22 @@
 
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gtmr_codegen.library import CompileError, warn_interpreted
 from gtmr_model.dynamics import PITCH, YAW
+from gtmr_nmpc.closed_loop import deviations
 from gtmr_nmpc.compiled.iteration import CompiledIteration
 from gtmr_nmpc.config import MODES, ControllerConfig, Mode
 from gtmr_nmpc.iteration import Iteration, IterationResult
-from gtmr_nmpc.margins import Margin, PaperMargin
+from gtmr_nmpc.margins import ClosedLoopMargin, Deviations, Margin, PaperMargin, Tightening
 from gtmr_nmpc.margins.margin import tightening_of
+from gtmr_nmpc.observer import GUST, N_THETA, Observer
+from gtmr_nmpc.online.blend import Blend, between
+from gtmr_nmpc.online.sent import Sent, setpoints
 from gtmr_nmpc.reference.interpreted import InterpretedIteration
 from gtmr_nmpc.solution import Solution, Timing
 
@@ -31,16 +36,17 @@ FIXED = ("vehicle", "horizon", "sampling_time_s", "tightening")
 
 
 class Controller:
-    """Nominal or robust NMPC in real-time iteration.
+    """Nominal, robust or offset-free NMPC in real-time iteration.
 
     Parameters
     ----------
     config : ControllerConfig, optional
         The problem; the paper's with our defaults if left out.
     mode : str
-        ``nominal`` for eq. (5) or ``robust`` for eq. (15). Both share one warm start, and after a
-        switch in flight the margins come in or go over ``switch_time_s``, so that it makes no
-        bump.
+        ``nominal`` for eq. (5), ``robust`` for eq. (15), or ``offset_free``, which estimates the
+        force and torque that act and keeps the margins of that closed loop. All share one warm
+        start, and after a switch in flight what a mode has of its own comes in or goes over
+        ``switch_time_s``, so that it makes no bump.
 
     iteration : Iteration, optional
         What solves the problem, made for ``config`` and used by this controller alone; compiled
@@ -65,12 +71,19 @@ class Controller:
         self._own_margin = margin
         self._margin = self._chosen_margin(self.config)
         self._iteration = iteration if iteration is not None else fastest_iteration(self.config)
+        self._observer: Observer | None = None
+        self._sent = Sent(self.config)
+        self._share = 0.0
+        self._settled: tuple[int, Tightening] | None = None
+        self._closed_loop: Deviations | None = None
+        self._observed_t: float | None = None
+        self._observed_steps = 0
         self.mode = mode
         self.reset()
 
     @property
     def mode(self) -> Mode:
-        """``nominal`` or ``robust``; takes effect at the next step."""
+        """``nominal``, ``robust`` or ``offset_free``; takes effect at the next step."""
         return self._mode
 
     @mode.setter
@@ -78,7 +91,7 @@ class Controller:
         if mode not in MODES:
             raise ValueError(f"mode = {mode!r}: allowed is {' or '.join(MODES)}")
         self._mode: Mode = mode
-        self._prepared: tuple[float, float, float] | None = None
+        self._prepared: tuple[float, float, Blend] | None = None
 
     def reconfigure(self, config: ControllerConfig) -> None:
         """Take over other bounds, weights, clearance or slack penalties; keeps the warm start.
@@ -90,73 +103,181 @@ class Controller:
                 raise ValueError(f"{fixed} cannot change in flight: make a new controller")
         self._margin = self._chosen_margin(config)
         self.config = config
-        self._iteration.reconfigure(config)
+        self._sent.reconfigure(config)
+        self._settled = self._closed_loop = None
+        self._iteration.reconfigure(self._blended(self._share))
         self._prepared = None
 
     def reset(self) -> None:
         """Forget the warm start, as before the first step."""
         self._last_t: float | None = None
-        self._last_progress = 0.0
+        self._blend = Blend.of(self._mode)
         self._is_a_start = False
         self._prepared = None
+        self._sent.reset()
+        self._forget()
 
-    def prepare(self, t: float) -> None:
-        """Do all that can be done before the state at time t [s] is known.
+    def prepare(self, now: float) -> None:
+        """Do all that can be done before a state is known; the command will act from ``now`` [s].
 
         Without a warm start there is nothing to prepare yet.
         """
-        if self._warm(t):
-            self._prepare(t)
+        blend = self._take_shares(now)
+        if self._warm(now):
+            self._prepare(now, blend)
 
-    def feedback(self, t: float, x: ArrayLike) -> Solution:
+    def feedback(self, t: float, x: ArrayLike, now: float | None = None) -> Solution:
         """Plan from a measured state; fast if ``prepare`` was called for the same time.
 
         Parameters
         ----------
         t : float
-            Time of the measurement [s].
+            Time of the measurement, its stamp [s].
         x : array_like, shape (12 + N_p,)
             State [p, eta, v, omega, xi]: m, rad, m/s, rad/s, Hz; yaw may be wrapped round.
+        now : float, optional
+            Time from which the command acts, and the plan begins [s]: the state is predicted up
+            to it with the inputs that were sent. The stamp if left out.
 
         Raises
         ------
         ValueError
-            If x has the wrong shape or is not finite.
+            If x has the wrong shape or is not finite, or ``now`` is no time from t on.
         """
         x = self._checked(t, x)
-        if self._prepared is None or self._prepared[0] != t:
-            if not self._warm(t):
+        now = t if now is None else now
+        if not t <= now < math.inf:
+            raise ValueError(f"now = {now}: the command cannot act before the stamp, {t}")
+        if self._prepared is None or self._prepared[0] != now:
+            blend = self._take_shares(now)
+            # What the linearisation needs, roughly: the state is looked at closely below.
+            if not self._warm(now):
                 self._iteration.cold(x)
-            self._prepare(t)
+            self._prepare(now, blend)
         assert self._prepared is not None
-        _, prepare_s, progress = self._prepared
+        _, prepare_s, blend = self._prepared
         self._prepared = None
 
         start = time.perf_counter()
+        x = self._present(t, x, now, blend.offset_free_scale)
         plan = self._iteration.feedback(x)
+        setpoints_hz = setpoints(self.config, plan.x_plan, plan.u_plan)
         feedback_s = time.perf_counter() - start
-        self._last_t, self._last_progress = t, progress
+        self._last_t, self._blend = now, blend
         self._is_a_start = plan.status != "failed" and self._is_sound(plan)
+        if now > t or self.config.delay_s > 0.0:
+            self._sent.add(now, t, plan.u_plan, setpoints_hz)
         return Solution(
             u=plan.u_plan[0],
-            margin_scale=_margin_scale(progress),
+            setpoints_hz=setpoints_hz,
+            margin_scale=max(blend.margin_scale, blend.offset_free_scale),
             timing=Timing(prepare_s, feedback_s),
             **plan._asdict(),
         )
 
-    def step(self, t: float, x: ArrayLike) -> Solution:
+    def step(self, t: float, x: ArrayLike, now: float | None = None) -> Solution:
         """Prepare and plan in one call, with arguments and errors of `feedback`."""
-        return self.feedback(t, x)
+        return self.feedback(t, x, now)
 
-    def _prepare(self, t: float) -> None:
+    def _take_shares(self, now: float) -> Blend:
+        """Let the modes come in or go: weights and disturbances of the next step."""
+        switch_time_s = self.config.switch_time_s
+        if self._last_t is None or switch_time_s == 0.0:
+            blend = Blend.of(self._mode)
+        else:
+            most = max(0.0, now - self._last_t) / switch_time_s
+            blend = self._blend.towards(self._mode, most)
+        share = blend.offset_free_scale
+        if share != self._share:
+            self._share = share
+            self._iteration.reconfigure(self._blended(share))
+            if share == 0.0:
+                self._iteration.disturb(None)
+                self._forget()
+        if share > 0.0:
+            self._iteration.disturb(self._theta if share == 1.0 else share * self._theta)
+        return blend
+
+    def _blended(self, share: float) -> ControllerConfig:
+        """Give the problem with this share of the weights of ``offset_free``."""
+        config = self.config
+        if share == 0.0:
+            return config
+        weights = between(config.weights, config.offset_free.weights, share)
+        return config.model_copy(update={"weights": weights, "tightening": "frozen"})
+
+    def _prepare(self, now: float, blend: Blend) -> None:
         start = time.perf_counter()
-        progress = self._margin_progress(t)
-        scale = _margin_scale(progress)
-        self._iteration.prepare(t, scale)
-        if self._margin is not None and scale > 0.0:
+        scale, share = blend.margin_scale, blend.offset_free_scale
+        self._iteration.prepare(now, scale)
+        if share > 0.0:
+            own = self._offset_free_tightening()
+            own = own if share == 1.0 else own.scaled(share)
+            if scale > 0.0:
+                margin = self._margin or PaperMargin()
+                own = own.plus(tightening_of(margin, self._iteration.linearised()).scaled(scale))
+            self._iteration.tighten(own)
+        elif self._margin is not None and scale > 0.0:
             own = tightening_of(self._margin, self._iteration.linearised())
             self._iteration.tighten(own.scaled(scale))
-        self._prepared = (t, time.perf_counter() - start, progress)
+        self._prepared = (now, time.perf_counter() - start, blend)
+
+    def _offset_free_tightening(self) -> Tightening:
+        """Ask its margin; what does not depend on the plan any more is kept."""
+        if self._settled is not None:
+            settled_from, tightening = self._settled
+            if self._observed_steps >= settled_from:
+                return tightening
+        margin = self.config.offset_free.margin
+        iterate = replace(
+            self._iteration.linearised(),
+            deviations=self._deviations,
+            observed_steps=self._observed_steps,
+        )
+        tightening = tightening_of(margin, iterate)
+        if isinstance(margin, ClosedLoopMargin):
+            lasts = len(self._deviations().transient)
+            if self._observed_steps >= lasts:
+                self._settled = lasts, tightening
+        return tightening
+
+    def _deviations(self) -> Deviations:
+        if self._closed_loop is None:
+            self._closed_loop = deviations(self.config)
+        return self._closed_loop
+
+    def _present(self, t: float, x: Array, now: float, share: float) -> Array:
+        """Say where the vehicle is when the command acts, as measured or estimated."""
+        if share == 0.0 and now == t:
+            return x
+        if self._observer is None:
+            self._observer = self._iteration.observer()
+        measured = x
+        if share > 0.0:
+            dt_s = 0.0 if self._observed_t is None else t - self._observed_t
+            begun = 0.0 < dt_s <= self.config.horizon * self.config.sampling_time_s
+            self._observed_steps = self._observed_steps + 1 if begun else 0
+            self._observed_t = t
+            x, theta = self._observer.update(measured, dt_s)
+            x[YAW] += math.tau * round((measured[YAW] - x[YAW]) / math.tau)
+            # The next plan begins a sampling time later.
+            until_s = now - t + self.config.sampling_time_s
+            self._theta = theta
+            self._theta[GUST] *= math.exp(
+                -until_s / self.config.offset_free.disturbance.gust_time_s
+            )
+        if now > t:
+            x = self._sent.ahead(self._observer, x, t, now)
+            if 0.0 < share < 1.0:
+                measured = self._sent.ahead(self._observer, measured, t, now)
+        return x if share in (0.0, 1.0) else (1.0 - share) * measured + share * x
+
+    def _forget(self) -> None:
+        """Let the observer begin anew."""
+        self._observed_t, self._observed_steps = None, 0
+        self._theta = np.zeros(N_THETA)
+        if self._observer is not None:
+            self._observer.reset()
 
     def _chosen_margin(self, config: ControllerConfig) -> Margin | None:
         """Choose the margin to ask; none is the paper's, which the iterations have themselves."""
@@ -165,15 +286,6 @@ class Controller:
         if config.tightening == "gradient":
             raise ValueError("tightening = 'gradient': a margin of one's own enters 'frozen'")
         return self._own_margin
-
-    def _margin_progress(self, t: float) -> float:
-        """How far the margins have come in at time t: they come and go over the switch time."""
-        due = 1.0 if self._mode == "robust" else 0.0
-        switch_time_s = self.config.switch_time_s
-        if self._last_t is None or switch_time_s == 0.0:
-            return due
-        most = max(0.0, t - self._last_t) / switch_time_s
-        return self._last_progress + min(max(due - self._last_progress, -most), most)
 
     def _is_sound(self, plan: IterationResult) -> bool:
         """Whether a plan stays where the model holds, and with it can be the next one's iterate.
@@ -204,11 +316,6 @@ class Controller:
         facing = self.config.helix.facing(t, self.config.tower)
         state[YAW] += math.tau * round((facing - state[YAW]) / math.tau)
         return state
-
-
-def _margin_scale(progress: float) -> float:
-    """Begin and end gently: a margin that grows at once at full rate is a jerk of its own."""
-    return progress * progress * (3.0 - 2.0 * progress)
 
 
 def fastest_iteration(config: ControllerConfig) -> Iteration:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gtmr_nmpc.config import ControllerConfig
 from gtmr_nmpc.margins import Iterate, Tightening
+from gtmr_nmpc.observer import Observer
 
 Array = NDArray[np.float64]
 
@@ -44,6 +45,10 @@ class Iteration(Protocol):
         """Take over other numbers of the same problem, of the same vehicle, horizon and T_s."""
         ...
 
+    def observer(self) -> Observer:
+        """Give what estimates disturbances for this problem; one for each controller."""
+        ...
+
     def cold(self, x: Array) -> None:
         """Make the iterate by holding a state, shape (12 + N_p,), for the whole horizon."""
         ...
@@ -52,6 +57,13 @@ class Iteration(Protocol):
         """Make the iterate from the last plan, moved on by 0 to N - 1 sampling times.
 
         Past its end the rotors hold their speeds.
+        """
+        ...
+
+    def disturb(self, theta: Array | None) -> None:
+        """Let disturbances act in the model from now on, None for none.
+
+        theta, shape (9,), is that of stage 0; of it the gust force fades along the horizon.
         """
         ...
 

@@ -71,7 +71,8 @@ class NmpcParameters(ControllerConfig, FrameParameters):
     """The parameters of the node: the controller's problem, and how it takes part in the graph."""
 
     mode: Mode = "robust"
-    """``nominal`` for eq. (5), ``robust`` for eq. (15); may change in flight."""
+    """``nominal`` for eq. (5), ``robust`` for eq. (15), or ``offset_free``, which estimates its
+    disturbances; may change in flight."""
     max_stamp_difference_s: float = Field(0.0, ge=0.0, le=0.1)
     """By how much the stamps of odometry and rotor states that are taken together may differ [s];
     the simulator gives both the same."""

@@ -48,6 +48,18 @@ def discrete_dynamics(config: ControllerConfig) -> ca.Function:
     return ca.Function("F", [x, u, zeta], [x_next], ["x", "u", "zeta"], ["x_next"])
 
 
+def disturbed_dynamics(config: ControllerConfig) -> ca.Function:
+    """F with disturbances: (x, u, zeta, force, torque) -> x_next.
+
+    The force is in the world frame [N], the torque in the body frame [N m], both held over T_s.
+    """
+    x, u, zeta, force = symbols(config.vehicle)
+    torque = ca.SX.sym("torque", 3)
+    x_next = discrete_step(x, u, zeta, force, config.vehicle, config.sampling_time_s, torque)
+    names = ["x", "u", "zeta", "force", "torque"]
+    return ca.Function("F", [x, u, zeta, force, torque], [x_next], names, ["x_next"])
+
+
 def output_map(config: ControllerConfig) -> ca.Function:
     """Output map h of eq. (6): position, velocity, acceleration, attitude and body rates.
 

@@ -41,6 +41,9 @@ class Solution:
     """Predicted states, shape (N + 1, 12 + N_p)."""
     u_plan: NDArray[np.float64]
     """Planned rotor accelerations [Hz/s], shape (N, N_p)."""
+    setpoints_hz: NDArray[np.float64]
+    """Speed setpoints of the rotors [Hz] at the stages, linear in between, shape (N + 1, N_p): the
+    planned speeds, ahead of them by what motors with the stated lag stay behind."""
     tightening: Tightening
     """The margins of every stage by their parts, as applied; zero in nominal mode."""
     slack: NDArray[np.float64]
@@ -71,5 +74,5 @@ class Solution:
 
     @property
     def alpha_g(self) -> NDArray[np.float64]:
-        """Gust margin per stage, eq. (13) [m], shape (N + 1,)."""
-        return self.tightening.gust
+        """Gust margin per stage, eq. (13) [m], shape (N + 1,); that for noise is in it."""
+        return self.tightening.random

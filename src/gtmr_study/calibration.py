@@ -20,7 +20,7 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
-from gtmr_nmpc import MODES, Mode
+from gtmr_nmpc import PAPER_MODES, Mode
 from gtmr_study.campaign import cluster
 from gtmr_study.campaign.study import Study, trial_seed
 from gtmr_study.campaign.summary import summarise
@@ -61,7 +61,7 @@ def calibrate(
     Returns ``target``, ``sets``, ``presets`` (their distances by name), and of the best set
     ``distance``, ``parameters``, ``deviations`` and ``summary``.
     """
-    modes: tuple[Mode, ...] = MODES if target == "both" else ("nominal",)
+    modes: tuple[Mode, ...] = PAPER_MODES if target == "both" else ("nominal",)
     base = base.model_copy(update={"modes": modes})
     # eps_s moves the robust rows alone.
     space = {
@@ -149,7 +149,7 @@ def _flown(base: Study) -> str:
 
 def _write_best(path: Path, base: Study, target: Target, search: optuna.Study) -> None:
     """Write the best set as the scenario of a whole campaign."""
-    whole = {"modes": MODES, "trials": TRIALS}
+    whole = {"modes": PAPER_MODES, "trials": TRIALS}
     best = with_values(search.best_params, base).model_copy(update=whole)
     rows = "the nominal rows" if target == "nominal" else "both modes' rows"
     said = (

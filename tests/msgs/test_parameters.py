@@ -70,7 +70,7 @@ def test_descriptors_carry_the_ranges_of_the_fields():
     (period,) = described["sampling_time_s"].floating_point_range
     assert (period.from_value, period.to_value) == (0.0, 0.5)
     assert "greater than 0" in described["sampling_time_s"].additional_constraints
-    assert described["mode"].additional_constraints == "one of: nominal, robust"
+    assert described["mode"].additional_constraints == "one of: nominal, robust, offset_free"
     assert described["weights.position"].additional_constraints == "3 numbers, each at least 0"
 
 

@@ -34,7 +34,15 @@ def difference(first, second):
     """Largest difference of two solutions in any input, state, slack or margin."""
     return max(
         np.abs(getattr(first, name) - getattr(second, name)).max()
-        for name in ("u_plan", "x_plan", "slack", "alpha_p", "alpha_p_by_channel", "alpha_g")
+        for name in (
+            "u_plan",
+            "x_plan",
+            "setpoints_hz",
+            "slack",
+            "alpha_p",
+            "alpha_p_by_channel",
+            "alpha_g",
+        )
     )
 
 

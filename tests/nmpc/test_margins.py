@@ -122,8 +122,8 @@ def test_a_margin_of_ones_own_is_chosen_by_its_name_and_numbers():
 @pytest.mark.parametrize(
     ("margin", "said"),
     [
-        ({"kind": "wide"}, r"margin = .*kind = 'wide': there is fixed, .*paper$"),
-        ("wide", r"margin = 'wide': kind = 'wide': there is fixed, .*paper$"),
+        ({"kind": "wide"}, r"margin = .*kind = 'wide': there is closed-loop, fixed, .*paper.*$"),
+        ("wide", r"margin = 'wide': kind = 'wide': there is closed-loop, fixed, .*paper.*$"),
         (
             {"kind": "fixed", "margin_m": -1.0},
             r"margin\.margin_m = -1\.0: .*greater than or equal",

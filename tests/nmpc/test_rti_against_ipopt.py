@@ -44,9 +44,9 @@ def iteration(config):
     return RealTimeIteration(config)
 
 
-def converged(config, mode, x0):
+def converged(config, mode, x0, rti=None):
     """Iterate prepare and feedback on one problem until the inputs stand still."""
-    rti = iteration(config)
+    rti = rti or iteration(config)
     iterate = Trajectory(
         np.tile(x0, (config.horizon + 1, 1)), np.zeros((config.horizon, len(x0) - 12))
     )
@@ -90,6 +90,24 @@ def test_converged_rti_with_frozen_margins_is_the_nlp_with_those_margins(mode, c
     assert_case_is(case, config, iterate, slack, prep)
     reference = nlp(config, True).solve(0.0, x0, prep.margins.total, None)
     assert_same_solution(iterate, slack, reference)
+
+
+def test_converged_rti_with_disturbances_is_the_nlp_with_them():
+    config = ControllerConfig()
+    x0 = start(config, *CASES["touching"])
+    theta = np.array([-0.6, 0.4, 0.9, -0.5, 0.2, 0.1, 0.05, -0.08, 0.03])
+    decay = np.exp(-0.025 / config.offset_free.disturbance.gust_time_s) ** np.arange(20)
+    force = theta[:3] + decay[:, None] * theta[3:6]
+    disturbance = np.hstack([force, np.tile(theta[6:], (20, 1))])
+    disturbed = RealTimeIteration(config)
+    disturbed.disturb(theta)
+    calm = converged(config, "robust", x0)[0]
+    iterate, slack, prep = converged(config, "robust", x0, disturbed)
+    assert np.abs(iterate.u[0] - calm.u[0]).max() > 1.0
+    assert_case_is("touching", config, iterate, slack, prep)
+    reference = InspectionNlp(config, "ipopt", IPOPT, True, disturbance=disturbance)
+    solution = reference.solve(0.0, x0, prep.margins.total, None)
+    assert_same_solution(iterate, slack, solution)
 
 
 @pytest.mark.slow

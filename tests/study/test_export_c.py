@@ -21,7 +21,7 @@ from gtmr_study.export.project import export_c
 
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
 SANITIZED = ["-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-FLIGHTS = ("flight.csv", "guard.csv")
+FLIGHTS = ("flight.csv", "offset_free.csv", "guard.csv")
 COMPILER = shutil.which("cc")
 STACK_BYTES = 64 * 1024
 """What gtmr.h says is enough; here the program's own stack counts as well."""
@@ -46,11 +46,12 @@ def build(folder, *flags):
 
 def assert_repeats_the_flight(folder, program):
     run = subprocess.run(
-        [program, folder / "flight.csv", folder / "guard.csv"], capture_output=True, text=True
+        [program, *(folder / name for name in FLIGHTS)], capture_output=True, text=True
     )
     assert run.returncode == 0, run.stdout + run.stderr
-    controller, guard = run.stdout.splitlines()
+    controller, offset_free, guard = run.stdout.splitlines()
     assert controller.startswith("400 steps")
+    assert offset_free.startswith("400 steps of offset_free")
     assert guard.startswith("800 steps of the guard")
 
 

@@ -93,6 +93,13 @@ CLOSE = {"radial_m": (-0.12, -0.02), "radial_m_s": (-0.5, 0.0), "gust": "worst-c
 """Starts at speed towards the tower that still can stop in time, most of them."""
 SITUATIONS = {
     "calm": Situation("nominal"),
+    "offset-free": Situation("offset_free", speed_m_s=0.3),
+    "offset-free, clearance": Situation(
+        "offset_free",
+        radial_m=(-0.2, -0.1),
+        radial_m_s=(-0.6, -0.4),
+        active=("inputs", "clearances", "slacks"),
+    ),
     "clearance, nominal": Situation("nominal", **CLOSE, active=("clearances",)),
     "clearance, frozen": Situation("robust", **CLOSE, active=("clearances",)),
     "clearance, gradient": Situation("robust", GRADIENT, **CLOSE, active=("clearances",)),

@@ -71,7 +71,7 @@ class Argument:
 MODE = Argument(
     "Controller mode; may change in flight; empty for that of the parameter file",
     parameter_of=("nmpc",),
-    choices=("", "nominal", "robust"),
+    choices=("", "nominal", "robust", "offset_free"),
 )
 BAG = Argument("New folder to record the flight into; empty for no recording")
 LOCKSTEP = Argument(

@@ -17,7 +17,7 @@ from gtmr_model import N_ZETA, ConfigError
 from gtmr_model.dynamics import ROTORS
 from gtmr_model.reference import reference_function
 from gtmr_model.tower import clearance_constraint
-from gtmr_nmpc import ocp, sensitivity
+from gtmr_nmpc import observer, ocp, sensitivity
 from gtmr_nmpc.config import ControllerConfig
 
 BODY = slice(0, ROTORS.start)
@@ -54,9 +54,12 @@ def flags(sources: dict[str, str]) -> dict[str, tuple[str, ...]]:
 
 
 def _model(config: ControllerConfig) -> dict[str, str]:
-    linearise, jacobian, dF_dzeta = _linearise(config)
-    functions = [linearise, _bending(config), _adjoint(config)]
-    by_point = [_reference(config), *_clearance()]
+    linearise, *places = _linearise(config, disturbed=False)
+    disturbed, *same_places = _linearise(config, disturbed=True)
+    assert places == same_places
+    jacobian, dF_dzeta = places
+    functions = [linearise, disturbed, _bending(config), _adjoint(config)]
+    by_point = [_reference(config), *_clearance(), _motion(config)]
     sources = {
         f"{function.name()}.c": (
             f'/* Generated. */\n#include "problem.h"\n\n{c_function(function, "vec")}'
@@ -91,12 +94,14 @@ def _model(config: ControllerConfig) -> dict[str, str]:
 #define MODEL_LANES_OUT {lanes_out}
 
 /* (x, u) -> F without rotors, acceleration, their Jacobian in (x, u), dF/dzeta; one interval a
- * lane, nonzeros only. (x, u, Pi s, s, dx, du) -> second derivative of F along both directions.
- * (x, u, lambda, Pi s, s) -> gradient of lambda' (dF/dx Pi s + dF/dzeta s) in (x, u). */
+ * lane, nonzeros only. The same of (x, u, force, torque). (x, u, Pi s, s, dx, du) -> second
+ * derivative of F along both directions. (x, u, lambda, Pi s, s) -> gradient of
+ * lambda' (dF/dx Pi s + dF/dzeta s) in (x, u). */
 {prototypes}
 
 /* One point a call. (t, R, d_min, numbers of the reference) -> r, in the order of h. (p, R, d_min)
- * -> y and J_yx, (p, direction) -> d(J_yx direction)/dp, both horizontal. */
+ * -> y and J_yx, (p, direction) -> d(J_yx direction)/dp, both horizontal.
+ * (x, u, force, torque, dt) -> F without rotors, over dt. */
 {prototypes_by_point}
 
 /* h, eq. (6): the state that an output is, or none, and then it is an acceleration. */
@@ -118,20 +123,36 @@ def _places(sparsity: ca.Sparsity) -> str:
     return ", ".join(f"{r} * (ld) + {c}" for r, c in zip(rows, columns, strict=True))
 
 
-def _linearise(config: ControllerConfig) -> tuple[ca.Function, ca.Sparsity, ca.Sparsity]:
+def _linearise(
+    config: ControllerConfig, disturbed: bool
+) -> tuple[ca.Function, ca.Sparsity, ca.Sparsity]:
     """Write F, acceleration and their sparse Jacobians, and the latters' patterns.
 
     Positions pass through F unchanged, so that their columns are left out.
     """
-    x, u, zeta, x_next = _dynamics(config)
+    model = ocp.disturbed_dynamics(config) if disturbed else ocp.discrete_dynamics(config)
+    x, u, zeta, *theta = (
+        ca.SX.sym(model.name_in(i), model.size1_in(i)) for i in range(model.n_in())
+    )
+    x_next = model(x, u, zeta, *theta)[BODY]
     acceleration = ocp.output_map(config)(x)[6:9]
+    if disturbed:
+        acceleration += theta[0] / config.vehicle.mass_kg
     both = ca.vertcat(x_next, acceleration)
     free = ca.vertcat(x[3:], u)
     jacobian, dF_dzeta = ca.jacobian(both, free), ca.jacobian(x_next, zeta)
     results = _at_nominal([x_next, acceleration, jacobian, dF_dzeta], zeta)
     placed = ca.horzcat(ca.SX(both.numel(), 3), results[2]).sparsity()
-    function = ca.Function("gtmr_model_linearise", [x, u], ca.cse(results))
+    name = "gtmr_model_linearise_disturbed" if disturbed else "gtmr_model_linearise"
+    function = ca.Function(name, [x, u, *theta], ca.cse(results))
     return function, placed, results[3].sparsity()
+
+
+def _motion(config: ControllerConfig) -> ca.Function:
+    """One step of any length, without rotors, which integrate the inputs."""
+    motion = observer.motion(config)
+    given = [ca.SX.sym(motion.name_in(i), motion.size1_in(i)) for i in range(motion.n_in())]
+    return ca.Function("gtmr_model_motion", given, ca.cse([ca.densify(motion(*given)[BODY])]))
 
 
 def _reference(config: ControllerConfig) -> ca.Function:

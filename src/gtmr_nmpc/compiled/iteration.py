@@ -8,6 +8,8 @@
 
 """The real-time iteration in C: the sources under ``c/``, compiled for one problem."""
 
+from __future__ import annotations
+
 import ctypes
 import math
 from functools import lru_cache
@@ -24,6 +26,7 @@ from gtmr_nmpc.config import ControllerConfig
 from gtmr_nmpc.iteration import IterationResult
 from gtmr_nmpc.margins import Iterate, Tightening
 from gtmr_nmpc.margins.paper import gust_margin
+from gtmr_nmpc.observer import N_THETA, Estimate, bounds, gains, gust_decay
 
 Array = NDArray[np.float64]
 
@@ -52,13 +55,30 @@ class CParameters(ctypes.Structure):
         ("slack_l1", ctypes.c_double),
         ("slack_l2", ctypes.c_double),
         ("with_margin_gradient", ctypes.c_double),
+        ("translation_gains", ctypes.c_double * 8),
+        ("rotation_gains", ctypes.c_double * 18),
+        ("theta_bounds", ctypes.c_double * N_THETA),
+        ("gust_decay", ctypes.c_double),
     )
 
 
-def parameters(config: ControllerConfig) -> CParameters:
-    """All that the compiled controller takes from a problem at run time."""
+def parameters(config: ControllerConfig, observes: bool) -> CParameters:
+    """All that the compiled controller takes from a problem at run time.
+
+    The observer's gains are left out unless it is used, as they take longest to compute.
+    """
     tower, vehicle, weights = config.tower, config.vehicle, config.weights
     first_gust_m = gust_margin(config.uncertainty, vehicle, 1, config.sampling_time_s)[1]
+    observer = {}
+    if observes:
+        by = gains(config)
+        inertia = np.array(vehicle.inertia_kg_m2)
+        scale = np.stack([np.ones((3, 2)), np.ones((3, 2)), np.tile(inertia[:, None], 2)], axis=1)
+        observer = {
+            "translation_gains": tuple(by.translation.ravel()),
+            "rotation_gains": tuple((by.rotation * scale).ravel()),
+            "theta_bounds": tuple(bounds(config)),
+        }
     return CParameters(
         tower_radius_m=tower.radius_m,
         min_clearance_m=tower.min_clearance_m,
@@ -75,6 +95,8 @@ def parameters(config: ControllerConfig) -> CParameters:
         slack_l1=config.slack_l1,
         slack_l2=config.slack_l2,
         with_margin_gradient=float(config.tightening == "gradient"),
+        gust_decay=gust_decay(config),
+        **observer,
     )
 
 
@@ -90,8 +112,10 @@ class CompiledIteration:
         self._memory = memory
         address = memory.ctypes.data + -memory.ctypes.data % ALIGNMENT
         self._controller = ctypes.c_void_p(address)
-        library.gtmr_create(self._controller, ctypes.byref(parameters(config)))
+        self._observes = False
+        library.gtmr_create(self._controller, ctypes.byref(self._parameters()))
 
+        self._no_noise = np.zeros(n + 1)
         self._x = np.zeros(n_x)
         self._x_address = ctypes.c_void_p(self._x.ctypes.data)
         self._plan = np.zeros(library.gtmr_plan_length())
@@ -109,7 +133,16 @@ class CompiledIteration:
     def reconfigure(self, config: ControllerConfig) -> None:
         """See `Iteration.reconfigure`."""
         self._config = config
-        self._library.gtmr_reconfigure(self._controller, ctypes.byref(parameters(config)))
+        self._library.gtmr_reconfigure(self._controller, ctypes.byref(self._parameters()))
+
+    def observer(self) -> CompiledObserver:
+        """See `Iteration.observer`."""
+        self._observes = True
+        self.reconfigure(self._config)
+        return CompiledObserver(self._library, self._controller, self)
+
+    def _parameters(self) -> CParameters:
+        return parameters(self._config, self._observes)
 
     def cold(self, x: Array) -> None:
         """See `Iteration.cold`."""
@@ -119,6 +152,11 @@ class CompiledIteration:
     def warm(self, steps: int) -> None:
         """See `Iteration.warm`."""
         self._library.gtmr_warm(self._controller, steps)
+
+    def disturb(self, theta: Array | None) -> None:
+        """See `Iteration.disturb`."""
+        address = None if theta is None else ctypes.c_void_p(theta.ctypes.data)
+        self._library.gtmr_disturb(self._controller, address)
 
     def prepare(self, t: float, margin_scale: float) -> None:
         """See `Iteration.prepare`."""
@@ -153,8 +191,48 @@ class CompiledIteration:
         x, u, by_channel, _, alpha_g, slack = (
             np.ndarray(shape, float, plan, offset) for shape, offset in self._parts
         )
-        tightening = self._given or Tightening(by_channel, self._eps_s, alpha_g)
+        tightening = self._given or Tightening(by_channel, self._eps_s, alpha_g, self._no_noise)
         return IterationResult(x, u, tightening, slack, STATUSES[status])
+
+
+class CompiledObserver:
+    """An `Observer` in C, in the memory of a compiled iteration."""
+
+    def __init__(
+        self, library: ctypes.CDLL, controller: ctypes.c_void_p, owner: CompiledIteration
+    ) -> None:
+        self._library, self._controller, self._owner = library, controller, owner
+
+    def reconfigure(self, config: ControllerConfig) -> None:
+        """See `Observer.reconfigure`."""
+        self._owner.reconfigure(config)
+
+    def reset(self) -> None:
+        """See `Observer.reset`."""
+        self._library.gtmr_forget(self._controller)
+
+    def update(self, x: Array, dt_s: float) -> Estimate:
+        """See `Observer.update`."""
+        estimate = np.empty(len(x) + N_THETA)
+        self._library.gtmr_observe(
+            self._controller,
+            ctypes.c_void_p(x.ctypes.data),
+            ctypes.c_double(dt_s),
+            ctypes.c_void_p(estimate.ctypes.data),
+        )
+        return Estimate(estimate[:-N_THETA], estimate[-N_THETA:])
+
+    def ahead(self, x: Array, xi: Array, dt_s: float) -> Array:
+        """See `Observer.ahead`."""
+        moved = np.empty(len(x))
+        self._library.gtmr_ahead(
+            self._controller,
+            ctypes.c_void_p(x.ctypes.data),
+            ctypes.c_void_p(xi.ctypes.data),
+            ctypes.c_double(dt_s),
+            ctypes.c_void_p(moved.ctypes.data),
+        )
+        return moved
 
 
 def _compiled_part(config: ControllerConfig) -> ControllerConfig:
@@ -173,6 +251,17 @@ def _library(config: ControllerConfig) -> ctypes.CDLL:
     library = load_library("the controller", sources, codegen.flags(sources))
     library.gtmr_size.restype = library.gtmr_plan_length.restype = ctypes.c_size_t
     library.gtmr_create.restype = ctypes.c_void_p
-    for name in ("reconfigure", "cold", "warm", "prepare", "iterate", "tighten"):
+    for name in (
+        "reconfigure",
+        "cold",
+        "warm",
+        "disturb",
+        "prepare",
+        "iterate",
+        "tighten",
+        "forget",
+        "observe",
+        "ahead",
+    ):
         getattr(library, f"gtmr_{name}").restype = None
     return library

@@ -8,8 +8,19 @@
 
 """What the clearance constraint is tightened by: one margin a file, chosen by its name."""
 
+from gtmr_nmpc.margins.closed_loop import ClosedLoopMargin, Deviations
 from gtmr_nmpc.margins.fixed import FixedMargin
 from gtmr_nmpc.margins.margin import Iterate, Margin, Tightening
 from gtmr_nmpc.margins.paper import PaperMargin
+from gtmr_nmpc.margins.second_order import SecondOrderMargin
 
-__all__ = ["FixedMargin", "Iterate", "Margin", "PaperMargin", "Tightening"]
+__all__ = [
+    "ClosedLoopMargin",
+    "Deviations",
+    "FixedMargin",
+    "Iterate",
+    "Margin",
+    "PaperMargin",
+    "SecondOrderMargin",
+    "Tightening",
+]

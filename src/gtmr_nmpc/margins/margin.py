@@ -11,7 +11,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -32,21 +32,48 @@ class Tightening:
     eps_s: Array
     """What of alpha_p no channel brings: eps_s of eq. (12), shape (N + 1,)."""
     gust: Array
-    """alpha_g, shape (N + 1,)."""
+    """For gusts, shape (N + 1,)."""
+    noise: Array = field(default_factory=lambda: np.zeros(()))
+    """For noise of the measurements, shape (N + 1,); none if left out, as in the paper."""
 
-    @property
+    def __post_init__(self) -> None:
+        """Give noise that was left out its shape."""
+        if not self.noise.shape:
+            object.__setattr__(self, "noise", np.full(self.gust.shape, self.noise))
+
+    @classmethod
+    def constant(cls, eps_s: ArrayLike) -> Tightening:
+        """Tighten by what belongs to no cause, shape (N + 1,) [m]."""
+        eps = np.asarray(eps_s, dtype=float)
+        return cls(np.zeros((len(eps), N_ZETA)), eps, np.zeros(len(eps)))
+
+    @cached_property
     def parametric(self) -> Array:
         """alpha_p, shape (N + 1,)."""
         return np.asarray(self.by_channel.sum(axis=1) + self.eps_s)
 
-    @property
+    @cached_property
+    def random(self) -> Array:
+        """alpha_g, for gusts and noise, shape (N + 1,)."""
+        return np.asarray(self.gust + self.noise)
+
+    @cached_property
     def total(self) -> Array:
         """alpha_p + alpha_g, shape (N + 1,)."""
-        return self.parametric + self.gust
+        return self.parametric + self.random
 
     def scaled(self, by: float) -> Tightening:
         """Let only a part of it count, 0 to 1."""
-        return Tightening(by * self.by_channel, by * self.eps_s, by * self.gust)
+        return Tightening(by * self.by_channel, by * self.eps_s, by * self.gust, by * self.noise)
+
+    def plus(self, other: Tightening) -> Tightening:
+        """Keep away by the sum of both."""
+        return Tightening(
+            self.by_channel + other.by_channel,
+            self.eps_s + other.eps_s,
+            self.gust + other.gust,
+            self.noise + other.noise,
+        )
 
 
 @dataclass(frozen=True)
@@ -61,6 +88,10 @@ class Iterate:
     """Rotor accelerations [Hz/s], shape (N, N_p)."""
     sensitivities: Callable[[], Array]
     """Computes Pi."""
+    deviations: Callable[[], Any] = dict
+    """Computes what the closed loop may deviate by, `Deviations`; in the mode ``offset_free``."""
+    observed_steps: int = 0
+    """How many steps ago disturbances began to be estimated."""
 
     @cached_property
     def Pi(self) -> Array:
@@ -83,10 +114,10 @@ def tightening_of(margin: Margin, iterate: Iterate) -> Tightening:
     """Ask a margin, and refuse with a ValueError what is no tightening of N + 1 stages."""
     stages, given = len(iterate.x), margin.tightening(iterate)
     if not isinstance(given, Tightening):
-        nothing = np.zeros((stages, N_ZETA)), np.zeros(stages)
-        given = Tightening(nothing[0], np.asarray(given, dtype=float), nothing[1])
-    shapes = given.by_channel.shape, given.eps_s.shape, given.gust.shape
-    if shapes != ((stages, N_ZETA), (stages,), (stages,)) or not np.isfinite(given.total).all():
+        given = Tightening.constant(np.atleast_1d(given))
+    shapes = [part.shape for part in (given.eps_s, given.gust, given.noise)]
+    fits = given.by_channel.shape == (stages, N_ZETA) and shapes == [(stages,)] * 3
+    if not fits or not np.isfinite(given.total).all():
         raise ValueError(
             f"{type(margin).__name__} gave a tightening that is not {stages} finite numbers [m]"
         )

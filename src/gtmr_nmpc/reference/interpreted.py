@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gtmr_nmpc.config import ControllerConfig, Mode
 from gtmr_nmpc.iteration import SLACK_TOLERANCE_M, IterationResult
 from gtmr_nmpc.margins import Iterate, Tightening
+from gtmr_nmpc.observer import InterpretedObserver
 from gtmr_nmpc.reference.rti import Preparation, RealTimeIteration, Trajectory
 
 Array = NDArray[np.float64]
@@ -36,6 +37,10 @@ class InterpretedIteration:
         self._config = config
         self._rti.reconfigure(config)
 
+    def observer(self) -> InterpretedObserver:
+        """See `Iteration.observer`."""
+        return InterpretedObserver(self._config)
+
     def cold(self, x: Array) -> None:
         """See `Iteration.cold`."""
         n = self._config.horizon
@@ -47,9 +52,13 @@ class InterpretedIteration:
         """See `Iteration.warm`."""
         hold = np.zeros((steps, self._config.vehicle.n_rotors))
         states = list(self._last.x[steps:])
-        for u in hold:
-            states.append(self._rti.predict(states[-1], u))
+        for stage, u in enumerate(hold, start=len(self._last.u) - steps):
+            states.append(self._rti.predict(states[-1], u, stage))
         self._iterate = Trajectory(x=np.array(states), u=np.vstack([self._last.u[steps:], hold]))
+
+    def disturb(self, theta: Array | None) -> None:
+        """See `Iteration.disturb`."""
+        self._rti.disturb(theta)
 
     def prepare(self, t: float, margin_scale: float) -> None:
         """See `Iteration.prepare`."""

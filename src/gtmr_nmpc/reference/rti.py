@@ -25,6 +25,7 @@ from gtmr_nmpc import ocp, sensitivity
 from gtmr_nmpc.config import ControllerConfig, Mode
 from gtmr_nmpc.margins import Iterate, PaperMargin, Tightening
 from gtmr_nmpc.margins.paper import worst_vertex
+from gtmr_nmpc.observer import BIAS, GUST, TORQUE, gust_decay
 from gtmr_nmpc.reference.evaluate import Evaluator
 from gtmr_nmpc.reference.qp import CondensedQp
 
@@ -75,6 +76,9 @@ class RealTimeIteration:
         self._dynamics = ocp.discrete_dynamics(config)
         self._linearise = Evaluator(_linearisation(config, with_zeta=False), n)
         self._linearise_with_zeta = Evaluator(_linearisation(config, with_zeta=True), n)
+        self._disturbed_dynamics = ocp.disturbed_dynamics(config)
+        self._linearise_disturbed = Evaluator(_linearisation(config, True, True), n)
+        self._disturbance: Array | None = None
         self._adjoint = Evaluator(
             sensitivity.second_order_adjoint(self._dynamics), n * (n + 1) // 2
         )
@@ -92,14 +96,33 @@ class RealTimeIteration:
         self._sqrt_q = np.sqrt(ocp.stage_weights(config))
         self._sqrt_qf = np.sqrt(config.weights.terminal_position)
 
-    def predict(self, x: Array, u: Array) -> Array:
-        """Simulate one stage with the nominal model, eq. (5b): x (12 + N_p,), u (N_p,) [Hz/s]."""
+    def disturb(self, theta: Array | None) -> None:
+        """Let disturbances, shape (9,), act in the model from now on; None for none."""
+        self._disturbance = None
+        if theta is not None:
+            left = gust_decay(self.config) ** np.arange(self.config.horizon)
+            force = theta[BIAS] + left[:, None] * theta[GUST]
+            self._disturbance = np.hstack([force, np.tile(theta[TORQUE], (len(left), 1))])
+
+    def predict(self, x: Array, u: Array, stage: int = 0) -> Array:
+        """Simulate one stage, eq. (5b): x (12 + N_p,), u (N_p,) [Hz/s]."""
+        if self._disturbance is not None:
+            force, torque = np.split(self._disturbance[stage], 2)
+            return np.asarray(
+                self._disturbed_dynamics(x, u, np.zeros(N_ZETA), force, torque)
+            ).ravel()
         return np.asarray(self._dynamics(x, u, np.zeros(N_ZETA))).ravel()
 
     def sensitivities(self, iterate: Trajectory) -> Array:
         """Pi along an iterate, eq. (8), shape (N + 1, 12 + N_p, 9)."""
-        _, a, _, _, _, e = self._linearise_with_zeta(iterate.x[:-1], iterate.u)
+        _, a, _, _, _, e = self._linearised(iterate, with_zeta=True)
         return sensitivity.propagate(a, e)
+
+    def _linearised(self, iterate: Trajectory, with_zeta: bool) -> list[Array]:
+        x, u = iterate.x[:-1], iterate.u
+        if self._disturbance is not None:
+            return self._linearise_disturbed(x, u, *np.split(self._disturbance, 2, axis=1))
+        return (self._linearise_with_zeta if with_zeta else self._linearise)(x, u)
 
     def margin_gradient(self, iterate: Trajectory) -> tuple[Array, Array]:
         """Gradient of alpha_p along an iterate, away from sign changes of Pi_y.
@@ -119,8 +142,7 @@ class RealTimeIteration:
         """
         n, n_x, n_u = self.config.horizon, self.config.vehicle.n_x, self.config.vehicle.n_rotors
         robust = mode == "robust"
-        linearise = self._linearise_with_zeta if robust else self._linearise
-        x_next, a, b, h, dh, *rest = linearise(iterate.x[:-1], iterate.u)
+        x_next, a, b, h, dh, *rest = self._linearised(iterate, with_zeta=robust)
 
         dx_du = np.zeros((n + 1, n_x, n * n_u))
         dx_dx0 = np.zeros((n + 1, n_x, n_x))
@@ -166,7 +188,7 @@ class RealTimeIteration:
                 rows_dx0 += d_x_flat @ dx_dx0.reshape(-1, n_x)
                 offset += d_x_flat @ defect.ravel()
         else:
-            tightening = Tightening(np.zeros((n + 1, N_ZETA)), np.zeros(n + 1), np.zeros(n + 1))
+            tightening = Tightening.constant(np.zeros(n + 1))
         tightened = self.config.tower.residual(iterate.x) + tightening.total
         return Preparation(
             iterate=iterate,
@@ -251,13 +273,23 @@ class RealTimeIteration:
         return d_x, d_u
 
 
-def _linearisation(config: ControllerConfig, with_zeta: bool) -> ca.Function:
-    """One stage: (x, u) -> F, dF/dx, dF/du, h, dh/dx and, where asked, dF/dzeta at zeta = 0."""
-    dynamics, output = ocp.discrete_dynamics(config), ocp.output_map(config)
-    x, u, zeta = (ca.SX.sym(name, dynamics.size1_in(name)) for name in ("x", "u", "zeta"))
-    x_next, h = dynamics(x, u, zeta), output(x)
+def _linearisation(
+    config: ControllerConfig, with_zeta: bool, disturbed: bool = False
+) -> ca.Function:
+    """One stage: (x, u) -> F, dF/dx, dF/du, h, dh/dx and, where asked, dF/dzeta at zeta = 0.
+
+    Disturbed, it takes force and torque as well.
+    """
+    dynamics = ocp.disturbed_dynamics(config) if disturbed else ocp.discrete_dynamics(config)
+    output = ocp.output_map(config)
+    x, u, zeta, *theta = (
+        ca.SX.sym(dynamics.name_in(i), dynamics.size1_in(i)) for i in range(dynamics.n_in())
+    )
+    x_next, h = dynamics(x, u, zeta, *theta), output(x)
+    if disturbed:
+        h[6:9] += theta[0] / config.vehicle.mass_kg
     results = [x_next, ca.jacobian(x_next, x), ca.jacobian(x_next, u), h, ca.jacobian(h, x)]
     if with_zeta:
         results.append(ca.jacobian(x_next, zeta))
     results = ca.substitute(results, [zeta], [ca.DM.zeros(N_ZETA)])
-    return ca.Function("linearise", [x, u], [ca.densify(r) for r in results])
+    return ca.Function("linearise", [x, u, *theta], [ca.densify(r) for r in results])

@@ -20,7 +20,7 @@ from typing_extensions import Self
 
 from gtmr_model import ConfigError, UncertaintySet, YamlModel
 from gtmr_model.yaml_model import presets_of
-from gtmr_nmpc import MODES, ControllerConfig, Mode
+from gtmr_nmpc import MODES, PAPER_MODES, ControllerConfig, Mode
 from gtmr_sim import GustConfig, Scenario, World
 from gtmr_sim.scenario import EffectNames, whole_steps
 from gtmr_sim.worlds.world import PAPER, NamedWorld
@@ -67,7 +67,7 @@ class Study(YamlModel):
     )
     """The controller, with the vehicle, tower and helix that it believes in; left out: the one
     that is told of the world."""
-    modes: tuple[Mode, ...] = Field(MODES, min_length=1)
+    modes: tuple[Mode, ...] = Field(PAPER_MODES, min_length=1)
     """Which modes fly every trial."""
     own_controller: ControllerFingerprint | None = None
     """What flies instead, in one mode that is called like it. This only says what it is: its file

@@ -43,6 +43,7 @@ def export_c_command(
         f"{len(written)} files in {folder}; the interface is gtmr.h and gtmr_guard.h. "
         "Build and check with\n"
         f"  cmake -S {folder} -B {folder}/build && cmake --build {folder}/build && "
-        f"{folder}/build/replay {folder}/flight.csv {folder}/guard.csv",
+        f"{folder}/build/replay {folder}/flight.csv {folder}/offset_free.csv "
+        f"{folder}/guard.csv",
         soft_wrap=True,
     )

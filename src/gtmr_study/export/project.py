@@ -12,12 +12,15 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gtmr_model import ConfigError
 from gtmr_nmpc import Controller, ControllerConfig, Mode
+from gtmr_nmpc.closed_loop import deviations
 from gtmr_nmpc.compiled import codegen
 from gtmr_nmpc.compiled.iteration import CompiledIteration, CParameters, parameters
-from gtmr_nmpc.margins import PaperMargin
+from gtmr_nmpc.margins import Iterate, PaperMargin
+from gtmr_nmpc.margins.margin import tightening_of
 from gtmr_sim import Scenario, Simulation
 from gtmr_study.export.guard import guard_files
 
@@ -35,6 +38,11 @@ def export_c(config: ControllerConfig, mode: Mode, folder: Path) -> list[Path]:
     CompileError if there is no C compiler to record the flight with, ConfigError if the margin is
     not the paper's.
     """
+    if config.delay_s or config.motor_lag_s:
+        raise ConfigError(
+            f"delay_s = {config.delay_s:g}, motor_lag_s = {config.motor_lag_s:g}: in C there is "
+            "neither prediction nor lead, allowed is 0"
+        )
     if not isinstance(config.margin, PaperMargin):
         raise ConfigError(f"margin = {config.margin.kind!r}: in C there is the paper's alone")
     own = files("gtmr_study.export")
@@ -42,6 +50,7 @@ def export_c(config: ControllerConfig, mode: Mode, folder: Path) -> list[Path]:
     contents |= {
         "parameters.h": _parameters_header(config),
         "flight.csv": _flight(config, mode),
+        "offset_free.csv": _flight(config, "offset_free"),
         **{name: (own / name).read_text(encoding="utf-8") for name in FILES},
     }
     folder.mkdir(parents=True, exist_ok=True)
@@ -53,11 +62,33 @@ def export_c(config: ControllerConfig, mode: Mode, folder: Path) -> list[Path]:
     return written
 
 
-def _parameters_header(config: ControllerConfig) -> str:
-    values = parameters(config)
-    fields = ",\n".join(
+def _fields(config: ControllerConfig) -> str:
+    values = parameters(config, observes=True)
+    return ",\n".join(
         f"    /* {name} */ {_literal(getattr(values, name))}" for name, _ in CParameters._fields_
     )
+
+
+def _offset_free_margins(config: ControllerConfig) -> NDArray[np.float64]:
+    """Margins of ``offset_free`` by step since the start, the last for all after it."""
+    margin, stages = config.offset_free.margin, np.zeros((config.horizon + 1, 1))
+    at = deviations(config)
+    return np.array(
+        [
+            tightening_of(
+                margin,
+                Iterate(config, stages, stages[1:], lambda: stages, lambda: at, k),
+            ).total
+            for k in range(len(at.transient) + 1)
+        ]
+    )
+
+
+def _parameters_header(config: ControllerConfig) -> str:
+    weights = config.offset_free.weights
+    offset_free = config.model_copy(update={"weights": weights, "tightening": "frozen"})
+    margins = _offset_free_margins(config)
+    rows = ",\n".join(f"    {_literal(row)}" for row in margins)
     memory, plan = CompiledIteration(config).sizes
     return f"""\
 /* Generated: the numbers of one problem; gtmr.h says what they are. */
@@ -73,7 +104,19 @@ def _parameters_header(config: ControllerConfig) -> str:
 #define GTMR_PLAN_LENGTH {plan}
 
 static const gtmr_parameters gtmr_problem = {{
-{fields}
+{_fields(config)}
+}};
+
+/* The mode offset_free: its own weights, and its margins [m] by step since it began to observe and
+ * by stage; the last row stays. */
+#define GTMR_MARGIN_ROWS {len(margins)}
+
+static const gtmr_parameters gtmr_offset_free_problem = {{
+{_fields(offset_free)}
+}};
+
+static const double gtmr_margins[GTMR_MARGIN_ROWS][GTMR_STAGES + 1] = {{
+{rows}
 }};
 
 #endif

@@ -18,6 +18,8 @@
 #include "parameters.h"
 
 #define N_X (12 + GTMR_ROTORS)
+#define N_THETA 9
+#define PI 3.14159265358979323846
 /* t, margin_scale, x, u */
 #define COLUMNS (2 + N_X + GTMR_ROTORS)
 /* dt, p, eta, xi, u_due, overdue, age, cause, u */
@@ -63,6 +65,39 @@ static int replay_controller(FILE *file)
     return steps > 0 && worst <= TOLERANCE;
 }
 
+/* The mode offset_free: disturbances that were estimated act in the model one step later. */
+static int replay_offset_free(FILE *file)
+{
+    double row[COLUMNS], estimate[N_X + N_THETA], theta[N_THETA] = {0.0}, worst = 0.0, last_t = 0.0;
+    const double *x = row + 2, *u = x + N_X;
+    int steps = 0, j;
+    gtmr_controller *controller =
+        gtmr_create(memory + (64 - (uintptr_t)memory % 64) % 64, &gtmr_offset_free_problem);
+    for (; read_row(file, row, COLUMNS); steps++) {
+        const int seen = steps > 0 ? steps - 1 : 0;
+        gtmr_disturb(controller, theta);
+        if (steps == 0)
+            gtmr_cold(controller, x);
+        else
+            gtmr_warm(controller, 1);
+        gtmr_prepare(controller, row[0], 0.0);
+        gtmr_tighten(controller,
+                     gtmr_margins[seen < GTMR_MARGIN_ROWS ? seen : GTMR_MARGIN_ROWS - 1]);
+        gtmr_observe(controller, x, steps > 0 ? row[0] - last_t : 0.0, estimate);
+        estimate[5] += 2.0 * PI * round((x[5] - estimate[5]) / (2.0 * PI));
+        gtmr_feedback(controller, estimate, plan);
+        for (j = 0; j < N_THETA; j++)
+            theta[j] = estimate[N_X + j];
+        for (j = 3; j < 6; j++)
+            theta[j] *= gtmr_offset_free_problem.gust_decay;
+        for (j = 0; j < GTMR_ROTORS; j++)
+            worst = fmax(worst, fabs(plan[(GTMR_STAGES + 1) * N_X + j] - u[j]));
+        last_t = row[0];
+    }
+    printf("%d steps of offset_free, largest difference of a command %g Hz/s\n", steps, worst);
+    return steps > 0 && worst <= TOLERANCE;
+}
+
 static int replay_guard(FILE *file)
 {
     double row[GUARD_COLUMNS], command[GTMR_ROTORS], worst = 0.0;
@@ -85,12 +120,13 @@ static int replay_guard(FILE *file)
 
 int main(int argc, char **argv)
 {
-    FILE *flight = argc == 3 ? fopen(argv[1], "r") : NULL;
-    FILE *guarded = argc == 3 ? fopen(argv[2], "r") : NULL;
+    FILE *flight = argc == 4 ? fopen(argv[1], "r") : NULL;
+    FILE *offset_free = argc == 4 ? fopen(argv[2], "r") : NULL;
+    FILE *guarded = argc == 4 ? fopen(argv[3], "r") : NULL;
     int well;
 
-    if (flight == NULL || guarded == NULL) {
-        fprintf(stderr, "usage: replay flight.csv guard.csv\n");
+    if (flight == NULL || offset_free == NULL || guarded == NULL) {
+        fprintf(stderr, "usage: replay flight.csv offset_free.csv guard.csv\n");
         return 2;
     }
     if (gtmr_size() > GTMR_MEMORY_BYTES) {
@@ -98,8 +134,10 @@ int main(int argc, char **argv)
         return 2;
     }
     well = replay_controller(flight);
+    well = replay_offset_free(offset_free) && well;
     well = replay_guard(guarded) && well;
     fclose(flight);
+    fclose(offset_free);
     fclose(guarded);
     return well ? EXIT_SUCCESS : EXIT_FAILURE;
 }

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from gtmr_nmpc import MODES, Mode
+from gtmr_nmpc import PAPER_MODES, Mode
 
 TRIALS = 500
 """Realizations a mode in Table II."""
@@ -89,4 +89,4 @@ def distance(summary: dict[str, dict[str, Any]], modes: tuple[Mode, ...]) -> flo
 
 def distances(summary: dict[str, dict[str, Any]]) -> dict[str, float]:
     """Distance to the paper's ``nominal`` rows, and to those of ``both`` modes [-]."""
-    return {"nominal": distance(summary, ("nominal",)), "both": distance(summary, MODES)}
+    return {"nominal": distance(summary, ("nominal",)), "both": distance(summary, PAPER_MODES)}

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gtmr_model import N_ZETA, Helix
-from gtmr_nmpc import MODES, ControllerConfig, Mode
+from gtmr_nmpc import PAPER_MODES, ControllerConfig, Mode
 from gtmr_sim import GustConfig
 from gtmr_study.campaign.study import Study
 from gtmr_study.paper.claims import (
@@ -124,7 +124,7 @@ _OF_BOTH = (
         lambda v: v.tilt <= LEVEL_DEG and v.off_tower < v.edge_deg),
     *(_Statement(f"{mode}: average solve time, there in MATLAB (Table II)",
         f"{{paper[{mode}].solve_ms:.1f}} ms", f"{{{mode}[solve_ms][mean]:.2f}} ms",
-        lambda v: NOT_COMPARABLE) for mode in MODES),
+        lambda v: NOT_COMPARABLE) for mode in PAPER_MODES),
     _Statement(
         "robust over nominal average solve time, moderate, about twofold (abstract, Sec. VII)",
         "{their_factor:.2f}", "{factor:.2f}",
@@ -162,7 +162,7 @@ def claims(study: Study, results: dict[str, Any]) -> list[Claim]:
     """
     values = _values(study, results)
     found = [_tried(_REALIZATIONS, values)]
-    for mode in MODES:
+    for mode in PAPER_MODES:
         found += [_tried(statement, _of_mode(values, mode)) for statement in _OF_A_MODE]
     return found + [_tried(statement, values) for statement in _OF_BOTH]
 
@@ -218,8 +218,8 @@ def _values(study: Study, results: dict[str, Any]) -> Values:
         their_shift_mm=1e3 * their_shift_m,
         # Rounded, with no sign on what is none.
         extra_mm=round(1e3 * results["calm"]["extra_clearance_m"], 1) + 0.0,
-        tilt=max(windy[mode]["tilt_deg"] for mode in MODES),
-        off_tower=max(windy[mode]["off_tower_deg"] for mode in MODES),
+        tilt=max(windy[mode]["tilt_deg"] for mode in PAPER_MODES),
+        off_tower=max(windy[mode]["off_tower_deg"] for mode in PAPER_MODES),
         edge_deg=np.degrees(edge),
         factor=robust["solve_ms"]["mean"] / nominal["solve_ms"]["mean"],
         their_factor=PAPER["robust"].solve_ms / PAPER["nominal"].solve_ms,

@@ -16,7 +16,7 @@ from typing import Any
 from gtmr_model import CHANNELS
 from gtmr_monitor.report import look
 from gtmr_monitor.report.html import page, signed, table
-from gtmr_nmpc import MODES
+from gtmr_nmpc import PAPER_MODES
 from gtmr_study.campaign.figures import Campaign
 from gtmr_study.campaign.report import campaign_section, figures_html
 from gtmr_study.paper.claims import PAPER
@@ -65,13 +65,13 @@ def sensitivity_markdown(results: dict[str, Any]) -> str:
 def one_value_at_a_time(results: dict[str, Any]) -> Table:
     """Lay out how a change of each value that the paper leaves out moves both rows."""
     heads = ["changed"]
-    for mode, distance in zip(MODES, ("nominal", "both"), strict=True):
+    for mode, distance in zip(PAPER_MODES, ("nominal", "both"), strict=True):
         heads += [f"{mode}: {what}" for what in ("violating", "least [m]", "q1, median, q3 [m]")]
         heads.append(f"distance, {distance}")
     rows = [heads]
     for variant in results["variants"]:
         cells = [variant["name"]]
-        for mode, distance in zip(MODES, ("nominal", "both"), strict=True):
+        for mode, distance in zip(PAPER_MODES, ("nominal", "both"), strict=True):
             summary = variant["summary"][mode]
             residual_m = [summary["residual_m"][key] for key in ("q1", "median", "q3")]
             cells += [

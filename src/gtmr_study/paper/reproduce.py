@@ -19,7 +19,7 @@ import numpy as np
 from gtmr_model import N_ZETA, Helix
 from gtmr_model.dynamics import ATTITUDE, POSITION, YAW
 from gtmr_monitor.report.drawing import save
-from gtmr_nmpc import MODES, Controller, Mode
+from gtmr_nmpc import PAPER_MODES, Controller, Mode
 from gtmr_sim import FlightLog, GustConfig, fly
 from gtmr_study.campaign import cluster
 from gtmr_study.campaign.figures import Campaign, write_figures
@@ -89,13 +89,13 @@ def reproduce(
     tell = on_progress if on_progress is not None else lambda what, done, total: None
     Helix.required(base.controller.helix)
     study = base.model_copy(
-        update={"modes": MODES, "trials": effort.trials, "duration_s": effort.duration_s}
+        update={"modes": PAPER_MODES, "trials": effort.trials, "duration_s": effort.duration_s}
     )
     summary = fly_campaign(study, folder, n_workers, scheduler, partial(tell, "trials"))
     logs: dict[str, FlightLog] = {}
-    for done, mode in enumerate(MODES, start=1):
+    for done, mode in enumerate(PAPER_MODES, start=1):
         logs[mode] = _flight(study, mode, zeta=FIG_1_ZETA, seed=study.seed)
-        tell("Fig. 1", done, len(MODES))
+        tell("Fig. 1", done, len(PAPER_MODES))
     flown_variants = []
     with cluster.workers(n_workers, scheduler) as client:
         if effort.variant_trials:
@@ -108,7 +108,7 @@ def reproduce(
         "seed": study.seed,
         "summary": summary,
         "paper": {mode: row.__dict__ for mode, row in PAPER.items()},
-        "deviations": {mode: deviations(summary[mode], mode) for mode in MODES},
+        "deviations": {mode: deviations(summary[mode], mode) for mode in PAPER_MODES},
         "distance": distances(summary),
         "fig_1": {mode: _fig_1_figures(study, log) for mode, log in logs.items()},
         "calm": _calm_flight(study),

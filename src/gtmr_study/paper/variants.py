@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gtmr_nmpc import MODES
+from gtmr_nmpc import PAPER_MODES
 from gtmr_study.campaign import cluster
 from gtmr_study.campaign.study import Study
 from gtmr_study.campaign.summary import summarise
@@ -55,7 +55,7 @@ def variants(study: Study, trials: int, duration_s: float) -> list[Variant]:
         update={
             # The world stays as it is where the controller is given another box.
             "uncertainty": study.true_uncertainty,
-            "modes": MODES,
+            "modes": PAPER_MODES,
             "trials": trials,
             "duration_s": duration_s,
         }

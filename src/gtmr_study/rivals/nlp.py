@@ -54,7 +54,8 @@ class InspectionNlp:
 
     ``solver`` and ``options`` are those of a CasADi NLP solver, for example ``ipopt``. Margins are
     data (held at given values) or eq. (12) in terms of the plan. ``condensed`` eliminates the
-    states (single shooting), as dense QP solvers want it.
+    states (single shooting), as dense QP solvers want it. ``disturbance`` is a force in the world
+    frame [N] and a torque in the body frame [N m] at every stage, shape (N, 6); none if left out.
     """
 
     def __init__(
@@ -64,22 +65,29 @@ class InspectionNlp:
         options: dict[str, Any],
         margins_given: bool = True,
         condensed: bool = False,
+        disturbance: Array | None = None,
     ) -> None:
         self.config = config
+        if disturbance is None:
+            disturbance = np.zeros((config.horizon, 6))
         n, vehicle = config.horizon, config.vehicle
         u = ca.MX.sym("u", vehicle.n_rotors, n)
         x0 = ca.MX.sym("x0", vehicle.n_x if condensed else 0)
-        x = _rollout(config, x0, u) if condensed else ca.MX.sym("x", vehicle.n_x, n + 1)
+        x = (
+            _rollout(config, x0, u, disturbance)
+            if condensed
+            else ca.MX.sym("x", vehicle.n_x, n + 1)
+        )
         slack = ca.MX.sym("slack", n)
         reference = ca.MX.sym("reference", 10, n + 1)
         margin = ca.MX.sym("margin", n if margins_given else 0)
-        gaps, alpha = _shooting(config, x, u, margins_given)
+        gaps, alpha = _shooting(config, x, u, margins_given, disturbance)
         if condensed:
             gaps = ca.vec(x[ROTORS, 1:])
         rho = ca.sqrt(x[0, 1:] ** 2 + x[1, 1:] ** 2).T
         clearance = rho - config.tower.radius_m
         tightened = config.tower.min_clearance_m - clearance + (margin if margins_given else alpha)
-        cost = _cost(config, x, u, reference)
+        cost = _cost(config, x, u, reference, disturbance)
         cost += config.slack_l1 * ca.sum1(slack) + config.slack_l2 * ca.sumsqr(slack)
         # The stubs of CasADi know programs on SX only.
         program: Any = {
@@ -158,27 +166,30 @@ class InspectionNlp:
 
 
 def _discrete(config: ControllerConfig) -> tuple[ca.Function, ca.Function]:
-    """One shooting interval, (x, u, zeta) -> x_next, and its derivatives by x and zeta."""
-    xs, us, zs, _ = symbols(config.vehicle)
-    no_gust = ca.DM.zeros(3)
+    """One shooting interval, (x, u, zeta, disturbance) -> x_next; derivatives by x and zeta."""
+    xs, us, zs, force = symbols(config.vehicle)
+    torque = ca.SX.sym("torque", 3)
     x_next = rk4_step(
-        xs, config.sampling_time_s, lambda x: state_derivative(x, us, zs, no_gust, config.vehicle)
+        xs,
+        config.sampling_time_s,
+        lambda x: state_derivative(x, us, zs, force, config.vehicle, torque),
     )
+    given = [xs, us, zs, ca.vertcat(force, torque)]
     jacobians = [ca.jacobian(x_next, s) for s in (xs, zs)]
-    return ca.Function("F", [xs, us, zs], [x_next]), ca.Function("dF", [xs, us, zs], jacobians)
+    return ca.Function("F", given, [x_next]), ca.Function("dF", given, jacobians)
 
 
-def _rollout(config: ControllerConfig, x0: ca.MX, u: ca.MX) -> ca.MX:
+def _rollout(config: ControllerConfig, x0: ca.MX, u: ca.MX, disturbance: Array) -> ca.MX:
     """States over the horizon as functions of the first one and the inputs."""
     discrete, _ = _discrete(config)
     states = [x0]
     for i in range(config.horizon):
-        states.append(discrete(states[-1], u[:, i], ca.DM.zeros(N_ZETA)))
+        states.append(discrete(states[-1], u[:, i], ca.DM.zeros(N_ZETA), disturbance[i]))
     return ca.horzcat(*states)
 
 
 def _shooting(
-    config: ControllerConfig, x: ca.MX, u: ca.MX, margins_given: bool
+    config: ControllerConfig, x: ca.MX, u: ca.MX, margins_given: bool, disturbance: Array
 ) -> tuple[ca.MX, ca.MX]:
     """Shooting gaps, and alpha_p + alpha_g of stages 1..N where the program carries them."""
     vehicle, step_s = config.vehicle, config.sampling_time_s
@@ -188,10 +199,10 @@ def _shooting(
     gaps, alpha = [], []
     pi: Any = ca.DM.zeros(vehicle.n_x, N_ZETA)
     for i in range(config.horizon):
-        gaps.append(discrete(x[:, i], u[:, i], nominal) - x[:, i + 1])
+        gaps.append(discrete(x[:, i], u[:, i], nominal, disturbance[i]) - x[:, i + 1])
         if margins_given:
             continue
-        a, e = jacobians(x[:, i], u[:, i], nominal)
+        a, e = jacobians(x[:, i], u[:, i], nominal, disturbance[i])
         pi = a @ pi + e
         p = x[POSITION, i + 1]
         rho = ca.sqrt(p[0] ** 2 + p[1] ** 2)
@@ -202,7 +213,9 @@ def _shooting(
     return ca.vertcat(*gaps), ca.vertcat(*alpha)
 
 
-def _cost(config: ControllerConfig, x: ca.MX, u: ca.MX, reference: ca.MX) -> ca.MX:
+def _cost(
+    config: ControllerConfig, x: ca.MX, u: ca.MX, reference: ca.MX, disturbance: Array
+) -> ca.MX:
     """Cost over the horizon; no penalty on slacks."""
     xs, us, zs, ws = symbols(config.vehicle)
     rate = state_derivative(xs, us, zs, ws, config.vehicle)
@@ -210,7 +223,7 @@ def _cost(config: ControllerConfig, x: ca.MX, u: ca.MX, reference: ca.MX) -> ca.
     cost = ca.MX(0.0)
     for i in range(config.horizon):
         xi, ui = x[:, i], u[:, i]
-        acceleration = dynamics(xi, ui, ca.DM.zeros(N_ZETA), ca.DM.zeros(3))[VELOCITY]
+        acceleration = dynamics(xi, ui, ca.DM.zeros(N_ZETA), disturbance[i, :3])[VELOCITY]
         cost += stage_cost(config, xi, ui, acceleration, reference[:, i])
     last = config.horizon
     return cost + terminal_cost(config, x[:, last], reference[:, last])

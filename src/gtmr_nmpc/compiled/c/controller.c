@@ -65,8 +65,20 @@ void gtmr_cold(gtmr_controller *c, const double *x)
     memset(c->multiplier, 0, sizeof c->multiplier);
 }
 
-/* One stage of the nominal model with the rotors holding their speeds. */
-static void coast(gtmr_controller *c, const double *x, double *next)
+void gtmr_disturb(gtmr_controller *c, const double *theta)
+{
+    double left = 1.0;
+    c->disturbed = theta != NULL;
+    for (int i = 0; c->disturbed && i < STAGES; ++i, left *= c->parameters.gust_decay) {
+        for (int j = 0; j < 3; ++j) {
+            c->disturbance[i][j] = theta[j] + left * theta[3 + j];
+            c->disturbance[i][3 + j] = theta[6 + j];
+        }
+    }
+}
+
+/* A stage with the rotors holding their speeds. */
+static void coast(gtmr_controller *c, int stage, const double *x, double *next)
 {
     for (int j = 0; j < N_X; ++j) {
         c->lanes_in[j] = vec_of(x[j]);
@@ -74,7 +86,10 @@ static void coast(gtmr_controller *c, const double *x, double *next)
     for (int j = 0; j < N_U; ++j) {
         c->lanes_in[N_X + j] = vec_of(0.0);
     }
-    gtmr_model_linearise(c->lanes_in, c->lanes_out);
+    for (int which = 0; which < VEC; ++which) {
+        gtmr_put_disturbance(c, stage, which);
+    }
+    gtmr_evaluate_model(c);
     memcpy(next, x, N_X * sizeof(double));
     for (int j = 0; j < BODY; ++j) {
         next[j] = *(const double *)(c->lanes_out + j);
@@ -92,7 +107,7 @@ void gtmr_warm(gtmr_controller *c, int steps)
     memset(c->u[kept], 0, steps * sizeof c->u[0]);
     memset(c->multiplier + kept * STAGE_ROWS, 0, steps * STAGE_ROWS * sizeof(double));
     for (int i = kept; i < STAGES; ++i) {
-        coast(c, c->x[i], c->x[i + 1]);
+        coast(c, i, c->x[i], c->x[i + 1]);
     }
 }
 

@@ -45,6 +45,12 @@ typedef struct {
     double slack_l2;
     /* Whether alpha_p enters the QP with its gradient: 0 or 1. */
     double with_margin_gradient;
+    /* Observer: gains of [p v b g] by [p v], and of [eta omega tau] by [eta omega] on each axis, row
+     * by row; bounds of theta; what is left of g after T_s. */
+    double translation_gains[4 * 2];
+    double rotation_gains[3 * 3 * 2];
+    double theta_bounds[9];
+    double gust_decay;
 } gtmr_parameters;
 
 typedef enum { GTMR_SOLVED = 0, GTMR_SOFTENED = 1, GTMR_FAILED = 2 } gtmr_status;
@@ -74,6 +80,14 @@ void gtmr_cold(gtmr_controller *controller, const double *x);
 void gtmr_warm(gtmr_controller *controller, int steps);
 
 /*
+ * Let disturbances act in the model from the next gtmr_warm or gtmr_prepare on.
+ *
+ * theta: force that stays, force that decays by gust_decay a stage, world frame [N], and torque,
+ * body frame [N m], three each; NULL for none, as at the start.
+ */
+void gtmr_disturb(gtmr_controller *controller, const double *theta);
+
+/*
  * Linearise along the iterate for time t and factorise: all that needs no measurement.
  *
  * margin_scale: 1 in robust mode, 0 in nominal mode, in between after a switch.
@@ -97,5 +111,17 @@ void gtmr_tighten(gtmr_controller *controller, const double *alpha);
  * slack (N+1), one after the other.
  */
 gtmr_status gtmr_feedback(gtmr_controller *controller, const double *x, double *plan);
+
+/*
+ * The observer, which needs nothing of the above: forget what it knows, take in a measured state
+ * dt [s] after the one before, and predict a state by dt while the rotors go to speeds xi.
+ *
+ * estimate: x (12+N_p), theta (9). Further apart than the horizon, measurements begin anew.
+ */
+void gtmr_forget(gtmr_controller *controller);
+void gtmr_observe(gtmr_controller *controller, const double *measured, double dt,
+                  double *estimate);
+void gtmr_ahead(const gtmr_controller *controller, const double *x, const double *xi, double dt,
+                double *next);
 
 #endif

@@ -34,6 +34,24 @@ static void put(gtmr_controller *c, int stage, int which)
     for (int j = 0; j < N_U; ++j) {
         *lane(c->lanes_in, N_X + j, which) = c->u[stage][j];
     }
+    gtmr_put_disturbance(c, stage, which);
+}
+
+void gtmr_put_disturbance(gtmr_controller *c, int stage, int which)
+{
+    for (int j = 0; c->disturbed && j < N_DISTURBED; ++j) {
+        *lane(c->lanes_in, N_XU + j, which) = c->disturbance[stage][j];
+    }
+}
+
+/* Without disturbances the model is the paper's to the last digit. */
+void gtmr_evaluate_model(gtmr_controller *c)
+{
+    if (c->disturbed) {
+        gtmr_model_linearise_disturbed(c->lanes_in, c->lanes_out);
+    } else {
+        gtmr_model_linearise(c->lanes_in, c->lanes_out);
+    }
 }
 
 static void take(gtmr_controller *c, int stage, int which)
@@ -104,7 +122,7 @@ void gtmr_linearise(gtmr_controller *c, double t)
         for (int which = 0; which < VEC; ++which) {
             put(c, smaller(first + which, STAGES - 1), which);
         }
-        gtmr_model_linearise(c->lanes_in, c->lanes_out);
+        gtmr_evaluate_model(c);
         for (int which = 0; which < smaller(VEC, STAGES - first); ++which) {
             take(c, first + which, which);
         }

@@ -19,6 +19,8 @@ enum {
     N_X = BODY + N_U, /* states; the last N_U integrate the inputs */
     N_XU = N_X + N_U,
     N_V = STAGES * N_U, /* all inputs of the horizon */
+    N_THETA = 9,        /* force that stays, force that decays, torque */
+    N_DISTURBED = 6,    /* force, torque */
     LD_X = PADDED(N_X),
     LD_XU = PADDED(N_XU),
     LD_ZETA = PADDED(N_ZETA),
@@ -83,8 +85,18 @@ typedef struct {
     double multiplier[N_ROWS]; /* of the inequalities, negative at a lower bound */
 } plan;
 
+/* What the observer believes. */
+typedef struct {
+    int begun;
+    double x[N_X];
+    double theta[N_THETA];
+} observer;
+
 struct gtmr_controller {
     gtmr_parameters parameters;
+    observer observer;
+    int disturbed;                           /* whether theta acts in the model */
+    double disturbance[STAGES][N_DISTURBED]; /* force and torque of every stage */
     double margin_scale;
     plan last;               /* what the last step returned */
     double x[STAGES + 1][N_X]; /* the iterate */
@@ -112,6 +124,11 @@ struct gtmr_controller {
 
 /* linearise.c */
 void gtmr_linearise(gtmr_controller *c, double t);
+
+/* F with theta, for the first stage or stages of a register: what is in lanes_in, with the
+ * disturbances of a stage. */
+void gtmr_evaluate_model(gtmr_controller *c);
+void gtmr_put_disturbance(gtmr_controller *c, int stage, int which);
 
 /* margins.c */
 
