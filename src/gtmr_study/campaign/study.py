@@ -50,6 +50,8 @@ def controller_for(world: World) -> str:
 
     A world is known by what it is, however it was named.
     """
+    if world == PAPER:
+        return "default"
     told = sorted(presets_of("world").keys() & presets_of("controller").keys())
     known = (name for name in told if World.preset("world", name) == world)
     return next(known, "default")
@@ -168,8 +170,7 @@ def worst_gusts(controller: ControllerConfig, mode: str) -> tuple[float, ...]:
     # Only here, as it takes long to import.
     from gtmr_nmpc.closed_loop import l1_sequence
 
-    sequence: tuple[float, ...] = l1_sequence(controller, mode)  # type: ignore[arg-type]
-    return sequence
+    return l1_sequence(controller, mode)
 
 
 def mode_order(mode: str) -> int:
