@@ -126,6 +126,11 @@ def test_every_summary_figure_is_recomputed_from_the_csv_by_plain_pandas(flown, 
                 "p99": rows["solve_ms_p99"].median(),
             },
             "failed_steps": rows["failed_steps"].sum(),
+            "violations_any_time": (rows["min_clearance_any_time_m"] < 0.2).sum(),
+            "min_clearance_any_time_m": rows["min_clearance_any_time_m"].min(),
+            "mean_clearance_m": rows["mean_clearance_m"].mean(),
+            # These flights are over before they have settled.
+            "radial_rms_settled_m": None,
         }
     again = json.loads((flown.parent / "s.json").read_text())
     assert without_times(again)["robust"]["trials"] == 6
