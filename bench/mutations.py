@@ -166,8 +166,8 @@ MUTATIONS = [
     ),
     (
         "src/gtmr_sim/session.py",
-        "if stamp_ns > self.stamp_ns or (",
-        "if (",
+        "if stamp_ns > self.stamp_ns + self._delay_ns:",
+        "if False:",
         LOOP + "[commands-from-future]",
     ),
     (

@@ -98,7 +98,7 @@ def test_values_given_at_start_reach_nested_models(make_node):
 @pytest.mark.parametrize(
     ("overrides", "reason"),
     [
-        ({"mode": "bold"}, "'nominal' or 'robust'"),
+        ({"mode": "bold"}, "'nominal', 'robust' or 'offset_free'"),
         ({"vehicle": "nope"}, "there is .*paper"),
         ({"horizon": 1}, "horizon out of range"),
         ({"horizon": 20.0}, "horizon .* expected integer"),
@@ -128,7 +128,7 @@ def test_a_refused_value_changes_nothing_and_says_why(make_node):
     parameters = nmpc_parameters(node, on_change=applied.append)
     (result,) = node.set_parameters([Parameter("mode", value="bold")])
     assert not result.successful
-    assert "'nominal' or 'robust'" in result.reason
+    assert "'nominal', 'robust' or 'offset_free'" in result.reason
     assert parameters.value.mode == node.get_parameter("mode").value == "robust"
     assert not applied
 

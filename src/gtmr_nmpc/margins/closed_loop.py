@@ -40,7 +40,7 @@ class ClosedLoopMargin(Margin):
     kind: str = "closed-loop"
     """Which margin."""
     noise_sigmas: float = Field(4.0, ge=0.0, le=10.0)
-    """Quantile of the noise, in standard deviations."""
+    """Quantile of the noise, in standard deviations [-]."""
     eps_s_m: float = Field(1e-3, ge=0.0)
     """What a linear closed loop leaves out [m]."""
 
