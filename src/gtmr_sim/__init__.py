@@ -13,6 +13,7 @@ from gtmr_sim.plant import Plant
 from gtmr_sim.registry import EFFECTS, GUSTS
 from gtmr_sim.scenario import GUST_KINDS, GustConfig, Scenario
 from gtmr_sim.simulation import Simulation
+from gtmr_sim.worlds.world import NamedWorld, World
 
 __all__ = [
     "EFFECTS",
@@ -21,9 +22,11 @@ __all__ = [
     "FlightError",
     "FlightLog",
     "GustConfig",
+    "NamedWorld",
     "Plant",
     "Scenario",
     "Simulation",
     "StepController",
+    "World",
     "fly",
 ]

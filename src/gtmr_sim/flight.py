@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import inspect
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -27,6 +28,11 @@ Array = NDArray[np.float64]
 
 SAMPLING_TIME_S = 0.025
 """T_s of a controller that does not say [s] (Table I)."""
+STEADY_S = 10.0
+"""Over which time what is steady of a wind is averaged [s]: some three constants of a controller's
+slowest answer."""
+ROUNDING_N = 1e-9
+"""By how much a force may exceed its bound and be within it [N]."""
 
 
 class FlightError(ValueError):
@@ -41,24 +47,31 @@ class StepController(Protocol):
 
         Either rotor accelerations to hold until the next step [Hz/s], shape (N_p,), or an object
         whose ``u_plan``, shape (n, N_p), is played one row a sampling time. Such an object may
-        also have ``alpha_p``, ``alpha_g``, ``slack``, ``status`` and ``timing.total_s`` as a
+        also have ``setpoints_hz``, shape (n + 1, N_p), which motors follow where the world has
+        some, and ``alpha_p``, ``alpha_g``, ``slack``, ``status`` and ``timing.total_s`` as a
         `gtmr_nmpc.Solution` has them; what it has goes into the flight's log.
+
+        In a world whose odometry is late, t is the stamp of what was measured, and a ``step`` that
+        takes ``now`` is also told the time from which its plan is played [s].
         """
         ...
 
 
 @dataclass(frozen=True)
 class FlightLog:
-    """A flight, one row per controller step k at t_k = k T_s.
+    """A flight, one row per sampling time t_k = k T_s.
 
-    What the controller does not tell is no number: its margins and slack have shape (K, 0), and
-    ``failed`` has shape (0,).
+    Where no measurement had arrived for a new step, the rows of what the controller told are those
+    of the step before. What it does not tell is no number: its margins and slack have shape
+    (K, 0), and ``failed`` has shape (0,).
     """
 
     t: Array
     """[s], shape (K,)."""
     x: Array
     """True state at t_k, shape (K, 12 + N_p)."""
+    x_measured: Array
+    """State that the controller had at t_k, the newest that had arrived, shape (K, 12 + N_p)."""
     u: Array
     """Rotor accelerations commanded over [t_k, t_k + T_s) [Hz/s], shape (K, N_p)."""
     zeta: Array
@@ -79,6 +92,16 @@ class FlightLog:
     """Whether the QP solver gave up in step k, shape (K,)."""
     guard: NDArray[np.bool_]
     """Whether the guard was in charge at the end of step k, shape (K,)."""
+    least_clearance_m: float
+    """Least d_T of any plant step, the start included [m]."""
+    wind_n: Array
+    """Force of the wind from t_k on, on the vehicle at hover, world frame [N], shape (K, 3); w_b
+    where the world has no wind field."""
+    steady_wind_within: float
+    """Share of time that what is steady of the wind's force, its mean over `STEADY_S`, was within
+    the bounds of w_b [-]."""
+    gusts_within: float
+    """Share of time that the rest of it and ``w_g`` together were within the bound of w_g [-]."""
 
     @property
     def failed_steps(self) -> int | None:
@@ -133,48 +156,88 @@ def fly(
     _require_made_for(config, scenario, sampling_time_s)
     steps = whole_steps("duration_s", duration_s, "sampling_time_s", sampling_time_s)
     simulation = Simulation(scenario, sampling_time_s)
-    times, states, gusts, guarded = [], [], [], []
+    delay_s = scenario.world.odometry.delay_s
+    tells_now = delay_s > 0.0 and "now" in inspect.signature(controller.step).parameters
+    times, states, gusts, winds, guarded = [], [], [], [], []
+    measured: list[Array] = []
     taken: list[_Step] = []
     for k in range(steps):
         t = simulation.time_s
         states.append(simulation.x)
-        # A copy: what a controller does to its measurement must not reach the plant.
-        x = simulation.x.copy()
-        start = time.perf_counter()
-        result = controller.step(t, x)
-        elapsed_s = time.perf_counter() - start
-        try:
-            step = _Step.of(result, scenario.vehicle.n_rotors, elapsed_s)
-            if taken and step.told != taken[0].told:
-                raise ValueError(f"told {step.told}, in its first step {taken[0].told}")
-        except (TypeError, ValueError) as error:
-            name = type(controller).__name__
-            raise FlightError(f"{name}.step at t = {t:g} s: {error}") from None
+        # Only at the start there is always one; late measurements may leave a gap after it.
+        newest = simulation.measured()
+        if newest is None:
+            measured.append(measured[-1])
+            taken.append(taken[-1])
+        else:
+            stamp_s, x = newest
+            measured.append(x.copy())
+            now_s = stamp_s + delay_s if tells_now else stamp_s
+            start = time.perf_counter()
+            # The copy of a measurement: what a controller does to it must not reach the plant.
+            result = (
+                controller.step(stamp_s, x, now=now_s)  # type: ignore[call-arg]
+                if tells_now
+                else controller.step(stamp_s, x)
+            )
+            elapsed_s = time.perf_counter() - start
+            try:
+                step = _Step.of(result, scenario.vehicle.n_rotors, elapsed_s)
+                if taken and step.told != taken[0].told:
+                    raise ValueError(f"told {step.told}, in its first step {taken[0].told}")
+            except (TypeError, ValueError) as error:
+                name = type(controller).__name__
+                raise FlightError(f"{name}.step at t = {t:g} s: {error}") from None
+            taken.append(step)
+            simulation.command(now_s, step.u_plan, step.setpoints_hz)
         times.append(t)
         gusts.append(simulation.gust_n)
-        taken.append(step)
-        simulation.command(t, step.u_plan)
+        winds.append(simulation.wind_n)
         simulation.advance(sampling_time_s)
         guarded.append(simulation.guard_active)
         if on_step is not None:
             on_step(k + 1)
     x = np.array(states)
     told = [step.failed for step in taken if step.failed is not None]
+    w_g, wind = np.array(gusts), np.array(winds)
+    steady = _moving_mean(wind, round(STEADY_S / sampling_time_s))
+    rest = np.linalg.norm(wind - steady + w_g, axis=1)
+    bounds = scenario.uncertainty
     return FlightLog(
         t=np.array(times),
         x=x,
+        x_measured=np.array(measured),
         u=np.array([step.u_plan[0] for step in taken]),
         zeta=scenario.zeta_array,
-        w_g=np.array(gusts),
+        w_g=w_g,
         d_T=scenario.tower.clearance(x),
         **{name: np.array([getattr(step, name) for step in taken]) for name in _BY_STAGE},
         solve_ms=np.array([step.solve_ms for step in taken]),
         failed=np.array(told, dtype=bool),
         guard=np.array(guarded, dtype=bool),
+        least_clearance_m=simulation.least_clearance_m,
+        wind_n=wind,
+        steady_wind_within=_within(np.abs(steady), np.array(bounds.wind_bias_n)),
+        gusts_within=_within(rest[:, None], np.array([bounds.gust_n])),
     )
 
 
 _BY_STAGE = ("alpha_p", "alpha_g", "slack")
+
+
+def _within(rows: Array, bounds: Array) -> float:
+    """Share of the rows that are within the bounds in every column."""
+    return float((rows <= bounds + ROUNDING_N).all(axis=1).mean())
+
+
+def _moving_mean(rows: Array, window: int) -> Array:
+    """Mean over the rows around each, as many on either side, fewer at the ends."""
+    total = np.concatenate((np.zeros((1, rows.shape[1])), np.cumsum(rows, axis=0)))
+    half, n = window // 2, len(rows)
+    first = np.maximum(np.arange(n) - half, 0)
+    last = np.minimum(np.arange(n) + half + 1, n)
+    mean: Array = (total[last] - total[first]) / (last - first)[:, None]
+    return mean
 
 
 @dataclass(frozen=True)
@@ -182,6 +245,7 @@ class _Step:
     """What is kept of a controller's step; fields as in `FlightLog`, the whole plan apart."""
 
     u_plan: Array
+    setpoints_hz: Array | None
     alpha_p: Array
     alpha_g: Array
     slack: Array
@@ -208,11 +272,20 @@ class _Step:
             )
         if not np.isfinite(u).all():
             raise ValueError(f"returned {u[~np.isfinite(u)][0]} among the rotor accelerations")
+        told = getattr(result, "setpoints_hz", None) if planned else None
+        setpoints = None if told is None else np.array(told, dtype=float)
+        if setpoints is not None and setpoints.shape != (len(u) + 1, n_rotors):
+            raise ValueError(
+                f"setpoints_hz has shape {setpoints.shape}, expected ({len(u) + 1}, {n_rotors})"
+            )
+        if setpoints is not None and not np.isfinite(setpoints).all():
+            raise ValueError(f"gave {setpoints[~np.isfinite(setpoints)][0]} among the setpoints")
         stages = {name: getattr(result, name, None) for name in _BY_STAGE}
         status = getattr(result, "status", None)
         timing = getattr(result, "timing", None)
         return cls(
             u_plan=u.reshape(-1, n_rotors),
+            setpoints_hz=setpoints,
             **{k: np.array(() if v is None else v, dtype=float) for k, v in stages.items()},
             solve_ms=1e3 * (elapsed_s if timing is None else timing.total_s),
             failed=None if status is None else status == "failed",

@@ -14,6 +14,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from gtmr_sim.noise import Filter, coloured_noise, dryden, ornstein_uhlenbeck
 from gtmr_sim.registry import GUSTS
 from gtmr_sim.scenario import Scenario
 
@@ -21,9 +22,6 @@ Array = NDArray[np.float64]
 Gust = Callable[[float, Array], Array]
 """Maps time since the start [s] and the vehicle's position, world frame [m], to the gust force
 that is held from now on, world frame [N], shape (3,)."""
-
-FOOT_M = 0.3048
-"""[m]"""
 
 
 def make_gust(scenario: Scenario) -> Gust:
@@ -84,68 +82,29 @@ def _worst_case(scenario: Scenario) -> Gust:
     return lambda _, position: scenario.uncertainty.gust_n * _towards_tower(position)
 
 
+@GUSTS.register("l1")
+def _l1(scenario: Scenario) -> Gust:
+    """Push inward by shares of the bound, one a hold period, over and over."""
+    scenario.gust.require_sequence()
+    sequence, k = scenario.gust.sequence, -1
+
+    def sample(_: float, position: Array) -> Array:
+        nonlocal k
+        k += 1
+        share = sequence[k % len(sequence)]
+        return share * scenario.uncertainty.gust_n * _towards_tower(position)
+
+    return sample
+
+
 @GUSTS.register("none")
 def _none(_: Scenario) -> Gust:
     return lambda *_: np.zeros(3)
 
 
-def ornstein_uhlenbeck(std: float, correlation_time_s: float) -> tuple[Array, Array, Array]:
-    """Shaping filter of an Ornstein-Uhlenbeck process.
-
-    A (1, 1), b (1,), c (1,) of ds = A s dt + b dW, output c s.
-    """
-    rate = 1.0 / correlation_time_s
-    return np.array([[-rate]]), np.array([std * math.sqrt(2.0 * rate)]), np.array([1.0])
-
-
-def dryden(std: float, airspeed_m_s: float, height_m: float) -> list[tuple[Array, Array, Array]]:
-    """Shaping filters of low-altitude Dryden turbulence (MIL-F-8785C, Sec. 3.7).
-
-    A, b, c along x, y, z of ds = A s dt + b dW, output c s; std is the stationary standard
-    deviation of the horizontal components. The mean wind blows along the world's x axis; force is
-    taken as proportional to gust speed. The frozen turbulence passes at the airspeed [m/s]; below
-    10 ft above ground the values of 10 ft hold.
-    """
-    height_ft = min(max(height_m / FOOT_M, 10.0), 1000.0)
-    shear = 0.177 + 0.000823 * height_ft
-    horizontal_s = height_ft / shear**1.2 * FOOT_M / airspeed_m_s
-    vertical_s = height_ft * FOOT_M / airspeed_m_s
-    return [
-        ornstein_uhlenbeck(std, horizontal_s),
-        _transverse(std, horizontal_s),
-        _transverse(std * shear**0.4, vertical_s),
-    ]
-
-
-def _transverse(std: float, time_s: float) -> tuple[Array, Array, Array]:
-    """Filter std sqrt(T) (1 + sqrt(3) T s) / (1 + T s)^2 in controllable form."""
-    a = np.array([[0.0, 1.0], [-1.0 / time_s**2, -2.0 / time_s]])
-    b = np.array([0.0, 1.0])
-    c = std * math.sqrt(time_s) * np.array([1.0 / time_s**2, math.sqrt(3.0) / time_s])
-    return a, b, c
-
-
-def _coloured_noise(filters: list[tuple[Array, Array, Array]], scenario: Scenario) -> Gust:
-    """Sample stationary filtered white noise exactly, once every hold period."""
-    # Here, as it takes longer to import than all else of a flight's start.
-    from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
-
-    rng = scenario.rng("gust")
-    a = block_diag(*(f[0] for f in filters))
-    b = block_diag(*(f[1][:, None] for f in filters))
-    c = block_diag(*(f[2] for f in filters))
-    transition = expm(a * scenario.gust_hold_s)
-    stationary = solve_continuous_lyapunov(a, -b @ b.T)
-    increment = np.linalg.cholesky(stationary - transition @ stationary @ transition.T)
-    state = np.linalg.cholesky(stationary) @ rng.standard_normal(len(a))
-
-    def sample(*_: object) -> Array:
-        nonlocal state
-        output = c @ state
-        state = transition @ state + increment @ rng.standard_normal(len(a))
-        return output
-
-    return sample
+def _coloured_noise(filters: list[Filter], scenario: Scenario) -> Gust:
+    draw = coloured_noise(filters, scenario.rng("gust"), scenario.gust_hold_s)
+    return lambda *_: draw()
 
 
 def _towards_tower(position: Array) -> Array:

@@ -107,7 +107,7 @@ class SimNode(SuiteNode):
     Raises ConfigError if a parameter cannot be used.
     """
 
-    PRESETS: ClassVar = {"vehicle": "paper"}
+    PRESETS: ClassVar = {"vehicle": "paper", "world": "paper"}
     """Parameters that name a preset or a file, with their defaults."""
     DYNAMIC: ClassVar = {
         "gust",

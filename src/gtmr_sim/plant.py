@@ -6,9 +6,10 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The true vehicle: eq. (3) with the true zeta, a fine integration step and actuator limits."""
+"""The true vehicle: eq. (3) with the true zeta, finer steps, actuator limits, and its world."""
 
 import ctypes
+import math
 from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import Any
@@ -21,13 +22,17 @@ from gtmr_codegen.c_source import c_function
 from gtmr_codegen.library import CompileError, load_library, warn_interpreted
 from gtmr_model.dynamics import ROTORS, rk4_step, state_derivative, symbols
 from gtmr_model.tower import Tower
-from gtmr_model.uncertainty import N_ZETA
 from gtmr_model.vehicle import Vehicle
+from gtmr_sim.worlds import motors
+from gtmr_sim.worlds.wall import effect_of
+from gtmr_sim.worlds.wind import wind_effect
+from gtmr_sim.worlds.world import PAPER, World
 
 Array = NDArray[np.float64]
 TOWER = Tower()
 Integrator = Callable[[Array, int], None]
-"""Takes a plant's memory, x, u, zeta and w_g in one row, and moves x on by a number of steps."""
+"""Takes a plant's memory, in one row what its step takes and then the least squared distance from
+the tower's axis so far [m^2], and moves on by a number of steps."""
 
 Effect = Callable[[Any, Any, Vehicle, Tower], tuple[Any, Any]]
 """Maps CasADi symbols of x, shape (12 + N_p,), and zeta, shape (9,), with the nominal vehicle and
@@ -37,13 +42,16 @@ It is compiled into the plant, and evaluated within every step of the integratio
 ADVANCE = """
 #include <string.h>
 
-/* memory: x, then what is held. */
+/* memory: the state, what is held, and the least squared distance from the tower's axis. */
 void plant_advance(double *memory, int steps)
 {
-    double next[N_X];
+    double next[N_STATE];
     for (; steps > 0; --steps) {
         plant_step(memory, next);
         memcpy(memory, next, sizeof next);
+        const double squared = next[0] * next[0] + next[1] * next[1];
+        if (squared < memory[LEAST])
+            memory[LEAST] = squared;
     }
 }
 """
@@ -64,6 +72,8 @@ class Plant:
         What effects may depend on.
     effects : tuple of Effect
         Forces and torques beyond eq. (3); they add up.
+    world : World
+        Of which motors, wind and wall act here.
     """
 
     def __init__(
@@ -74,30 +84,47 @@ class Plant:
         step_s: float,
         tower: Tower = TOWER,
         effects: tuple[Effect, ...] = (),
+        world: World = PAPER,
     ) -> None:
-        self._integrate = _integrator(vehicle, step_s, tower, effects)
-        # The compiled code is shared between flights and threads; what it writes to is not.
-        self._memory = np.zeros(vehicle.n_x + vehicle.n_rotors + N_ZETA + 3)
+        self._integrate = _integrator(vehicle, step_s, tower, effects, world.in_plant)
         self.zeta: Array = np.asarray(zeta, dtype=float)
         """The true mismatch and wind bias from now on, eq. (4), shape (9,)."""
         self.x: Array = np.array(x, dtype=float)
+        self.setpoints_hz: Array = self.x[ROTORS].copy() if world.motors else np.zeros(0)
+        """What the motors are told now [Hz], shape (N_p,); (0,) where there are none."""
+        self.air_m_s: Array = np.zeros(3 if world.wind else 0)
+        """Velocity of the air from now on, world frame, shape (3,) [m/s]; (0,) in no wind."""
+        self._tower = tower
+        self._least = float(self.x[0] * self.x[0] + self.x[1] * self.x[1])
+
+    @property
+    def least_clearance_m(self) -> float:
+        """Least d_T of any plant step so far, the start included [m]."""
+        return float(self._tower.clearance([math.sqrt(self._least), 0.0]))
 
     def advance(self, u: ArrayLike, w_g: ArrayLike, steps: int) -> None:
         """Fly on for some integration steps with input and gust held.
 
         Rotor accelerations u [Hz/s], shape (N_p,), are commanded: what the actuators cannot do is
-        cut off. The gust force w_g, shape (3,), is in the world frame [N].
+        cut off. Where there are motors, u is the rate of their setpoints. The gust force w_g,
+        shape (3,), is in the world frame [N].
         """
-        np.concatenate((self.x, u, self.zeta, w_g), out=self._memory)
-        self._integrate(self._memory, steps)
-        self.x = self._memory[: self.x.size].copy()
+        # The compiled code is shared between flights and threads; what it writes to is not.
+        memory = np.concatenate(
+            (self.x, self.setpoints_hz, u, self.zeta, w_g, self.air_m_s, (self._least,))
+        )
+        self._integrate(memory, steps)
+        n_x = self.x.size
+        self.x = memory[:n_x].copy()
+        self.setpoints_hz = memory[n_x : n_x + self.setpoints_hz.size].copy()
+        self._least = float(memory[-1])
 
 
 @lru_cache(maxsize=64)
 def _integrator(
-    vehicle: Vehicle, step_s: float, tower: Tower, effects: tuple[Effect, ...]
+    vehicle: Vehicle, step_s: float, tower: Tower, effects: tuple[Effect, ...], world: World
 ) -> Integrator:
-    step = _plant_step(vehicle, step_s, tower, effects)
+    step = _plant_step(vehicle, step_s, tower, effects, world)
     try:
         return _compiled(step)
     except CompileError as error:
@@ -106,16 +133,27 @@ def _integrator(
 
 
 def _plant_step(
-    vehicle: Vehicle, step_s: float, tower: Tower = TOWER, effects: tuple[Effect, ...] = ()
+    vehicle: Vehicle,
+    step_s: float,
+    tower: Tower = TOWER,
+    effects: tuple[Effect, ...] = (),
+    world: World = PAPER,
 ) -> ca.Function:
-    """One RK4 step with the actuator limits applied: (x, u, zeta, w_g) -> x."""
+    """One RK4 step with the actuator limits applied: (state, u, zeta, w_g, air) -> state.
+
+    The state is x, and the motors' setpoints where there are motors; air is empty without wind.
+    """
     x, u, zeta, w_g = symbols(vehicle)
+    air = ca.SX.sym("air", 3 if world.wind else 0)
+    setpoints = ca.SX.sym("setpoints", vehicle.n_rotors if world.motors else 0)
+    if world.wall is not None:
+        effects = (*effects, effect_of(world.wall))
     limit = vehicle.max_rotor_acceleration_hz_s
     feasible = ca.fmin(ca.fmax(u, -limit), limit)
     feasible = ca.fmin(feasible, (vehicle.max_rotor_speed_hz - x[ROTORS]) / step_s)
     feasible = ca.fmax(feasible, (vehicle.min_rotor_speed_hz - x[ROTORS]) / step_s)
 
-    def derivative(x: Any) -> Any:
+    def forces(x: Any) -> tuple[Any, Any]:
         force, torque = w_g, ca.SX(3, 1)
         for effect in effects:
             more_force, more_torque = map(ca.SX, effect(x, zeta, vehicle, tower))
@@ -123,14 +161,27 @@ def _plant_step(
                 given = f"{more_force.shape} and {more_torque.shape}"
                 raise ValueError(f"effect {effect.__name__}: shapes {given}, expected (3, 1) each")
             force, torque = force + more_force, torque + more_torque
-        return state_derivative(x, feasible, zeta, force, vehicle, torque)
+        if world.wind is not None:
+            more_force, more_torque = wind_effect(world.wind, x, zeta, air, vehicle)
+            force, torque = force + more_force, torque + more_torque
+        return force, torque
 
-    x_next = rk4_step(x, step_s, derivative)
-    return ca.Function("plant_step", [x, u, zeta, w_g], [x_next])
+    def derivative(state: Any) -> Any:
+        x, xi_rate = state[: vehicle.n_x], feasible
+        force, torque = forces(x)
+        if world.motors is None:
+            return state_derivative(x, xi_rate, zeta, force, vehicle, torque)
+        told = state[vehicle.n_x :]
+        xi_rate = motors.acceleration(x[ROTORS], told, world.motors, vehicle)
+        return ca.vertcat(state_derivative(x, xi_rate, zeta, force, vehicle, torque), u)
+
+    state = ca.vertcat(x, setpoints)
+    state_next = rk4_step(state, step_s, derivative)
+    return ca.Function("plant_step", [state, u, zeta, w_g, air], [state_next])
 
 
 def _compiled(step: ca.Function) -> Integrator:
-    n_x = step.size1_in(0)
+    sizes = [step.size1_in(i) for i in range(step.n_in())]
     try:
         source = c_function(step)
     except NotImplementedError as error:
@@ -139,7 +190,14 @@ def _compiled(step: ca.Function) -> Integrator:
         "the plant",
         {"plant_step.c": f"#include <math.h>\n\n{source}\n{ADVANCE}"},
         # Without fused operations the results are those of CasADi's virtual machine, bit by bit.
-        {"plant_step.c": ("-O2", "-ffp-contract=off", f"-DN_X={n_x}")},
+        {
+            "plant_step.c": (
+                "-O2",
+                "-ffp-contract=off",
+                f"-DN_STATE={sizes[0]}",
+                f"-DLEAST={sum(sizes)}",
+            )
+        },
     )
     library.plant_advance.restype = None
 
@@ -151,12 +209,15 @@ def _compiled(step: ca.Function) -> Integrator:
 
 def _interpreted(step: ca.Function, memory: Array, steps: int) -> None:
     ends = np.cumsum([step.size1_in(i) for i in range(step.n_in())])
-    x, *held = np.split(memory, ends[:-1])
-    x[:] = np.asarray(_folded(step, steps)(x, *held)).ravel()
+    state, *held, least = np.split(memory, ends)
+    states = np.asarray(_folded(step, steps)(state, *held))
+    state[:] = states[:, -1]
+    least[0] = min(least[0], float((states[0] * states[0] + states[1] * states[1]).min()))
 
 
 @lru_cache(maxsize=64)
 def _folded(step: ca.Function, steps: int) -> ca.Function:
-    x, *held = (ca.MX.sym("", step.size1_in(i)) for i in range(step.n_in()))
-    end = step.fold(steps)(x, *(ca.repmat(h, 1, steps) for h in held))
-    return ca.Function("plant_advance", [x, *held], [end])
+    """Give the states after each of some steps, one a column."""
+    state, *held = (ca.MX.sym("", step.size1_in(i)) for i in range(step.n_in()))
+    states = step.mapaccum(steps)(state, *(ca.repmat(h, 1, steps) for h in held))
+    return ca.Function("plant_advance", [state, *held], [states])

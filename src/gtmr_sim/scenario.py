@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +30,15 @@ from gtmr_model import (
     YamlModel,
 )
 from gtmr_sim.registry import EFFECTS, GUSTS
+from gtmr_sim.worlds.world import PAPER, NamedWorld
 
-GUST_KINDS = ("ou", "dryden", "sinusoid", "worst-case", "none")
-"""Clipped Ornstein-Uhlenbeck, clipped Dryden, sinusoid, constant towards the tower, none: those
-that come with the suite."""
+GUST_KINDS = ("ou", "dryden", "sinusoid", "worst-case", "l1", "none")
+"""Clipped Ornstein-Uhlenbeck, clipped Dryden, sinusoid, constant towards the tower, a sequence of
+shares of the bound towards the tower, none: those that come with the suite."""
+
+
+Purpose = Literal["zeta", "gust", "odometry", "wind"]
+"""What random numbers are drawn for."""
 
 
 def _effects(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -55,6 +60,9 @@ def whole_steps(name: str, time_s: float, part: str, part_s: float) -> int:
     return round(ratio)
 
 
+Share = Annotated[float, Field(ge=-1.0, le=1.0)]
+
+
 class GustConfig(YamlModel):
     """The gust force; its norm never exceeds the bound of the uncertainty set."""
 
@@ -68,6 +76,9 @@ class GustConfig(YamlModel):
     """Period of ``sinusoid`` [s]; assumed."""
     airspeed_m_s: float = Field(8.0, gt=0.0)
     """Mean wind speed that carries the ``dryden`` turbulence past the vehicle [m/s]; assumed."""
+    sequence: Annotated[tuple[Share, ...], Field(min_length=1)] = (0.0,)
+    """What ``l1`` plays over and over: shares of the bound, inward, one a hold period [-]. The
+    worst one for a controller is the sign of its closed loop's impulse response."""
     parameters: dict[str, float] = Field(default_factory=dict)
     """Numbers of a model of one's own, by the names of its function's arguments."""
 
@@ -79,6 +90,14 @@ class GustConfig(YamlModel):
             except TypeError as error:
                 raise ValueError(f"gust {self.kind!r}, parameters: {error}") from None
         return self
+
+    def require_sequence(self) -> None:
+        """Raise ConfigError if `l1` is to play a sequence that pushes nowhere."""
+        if self.kind == "l1" and not any(self.sequence):
+            raise ConfigError(
+                f"gust.sequence = {list(self.sequence)}: gust 'l1' needs shares of the bound, "
+                "-1 to 1, not all 0"
+            )
 
 
 class Scenario(YamlModel):
@@ -96,6 +115,8 @@ class Scenario(YamlModel):
     """The true mismatch [-] and wind bias [N, world frame], eq. (4)."""
     gust: GustConfig = GustConfig()
     """The gusts."""
+    world: NamedWorld = PAPER
+    """What the vehicle meets beyond eq. (3): a preset's name, a YAML file, or the effects."""
     effects: EffectNames = ()
     """Forces and torques on the true vehicle beyond eq. (3), by their registered names."""
     guard: Literal["retreat", "hold"] = "retreat"
@@ -111,6 +132,7 @@ class Scenario(YamlModel):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         self.uncertainty.require_inside(self.zeta)
+        self.gust.require_sequence()
         whole_steps("gust_hold_s", self.gust_hold_s, "step_s", self.step_s)
         return self
 
@@ -119,9 +141,9 @@ class Scenario(YamlModel):
         zeta = self.uncertainty.sample(self.rng("zeta"))
         return self.model_copy(update={"zeta": tuple(zeta.tolist())})
 
-    def rng(self, purpose: Literal["zeta", "gust"]) -> np.random.Generator:
-        """Random numbers of this seed for one purpose, independent of the other purpose."""
-        return np.random.default_rng([self.seed, {"zeta": 0, "gust": 1}[purpose]])
+    def rng(self, purpose: Purpose) -> np.random.Generator:
+        """Random numbers of this seed for one purpose, independent of the other purposes."""
+        return np.random.default_rng([self.seed, get_args(Purpose).index(purpose)])
 
     @property
     def zeta_array(self) -> NDArray[np.float64]:

@@ -20,10 +20,10 @@ from hypothesis import strategies as st
 from gtmr_model import ConfigError, Helix, Tower, UncertaintySet, Vehicle
 from gtmr_model.yaml_file import MAX_BYTES, MAX_DEPTH, MAX_VALUES, parse_yaml, read_yaml
 from gtmr_nmpc import ControllerConfig
-from gtmr_sim import Scenario
+from gtmr_sim import Scenario, World
 from gtmr_study.campaign.study import Study
 
-MODELS = (ControllerConfig, Helix, Scenario, Study, Tower, UncertaintySet, Vehicle)
+MODELS = (ControllerConfig, Helix, Scenario, Study, Tower, UncertaintySet, Vehicle, World)
 PRESETS = sorted(Path(str(files("gtmr_model") / "config")).glob("*/*.yaml"))
 LAUGHS = "a0: &a0 [x]\n" + "".join(
     f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 12)

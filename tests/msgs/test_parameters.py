@@ -18,9 +18,9 @@ from gtmr_model import ConfigError
 from gtmr_msgs_py.node.declarations import declarations
 from gtmr_msgs_py.node.parameters import ModelParameters
 from gtmr_nmpc.node import NmpcParameters
-from gtmr_sim.node import SimParameters
+from gtmr_sim.node import SimNode, SimParameters
 
-PRESETS = {"vehicle": "paper"}
+PRESETS = SimNode.PRESETS
 MODELS = [NmpcParameters, SimParameters]
 
 

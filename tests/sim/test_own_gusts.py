@@ -127,7 +127,7 @@ def test_an_effect_with_branches_and_powers_compiles_to_what_it_says_bit_by_bit(
         return ca.vertcat(near, ca.atan2(x[1], x[0]), ca.log(x[2])), ca.sqrt(x[0]) * zeta[:3]
 
     step = plant._plant_step(VEHICLE, 1e-3, Tower(), (field, EFFECTS["suction"]))
-    memory = np.concatenate((START, np.ones(6), np.full(9, 0.1), np.zeros(3)))
+    memory = np.concatenate((START, np.ones(6), np.full(9, 0.1), np.zeros(3), [np.inf]))
     expected = memory.copy()
     plant._interpreted(step, expected, 20)
     plant._compiled(step)(memory, 20)

@@ -161,9 +161,11 @@ def _tuple_constraints(info: FieldInfo) -> str:
     if items[0] is str:
         return "texts"
     if items[-1] is Ellipsis:
-        size = next(c.min_length for c in info.metadata if hasattr(c, "min_length"))
+        low = next(c.min_length for c in info.metadata if hasattr(c, "min_length"))
+        bounded = any(hasattr(c, "max_length") for c in info.metadata)
+        size = f"{low}" if bounded else f"at least {low}"
     else:
-        size = len(items)
+        size = f"{len(items)}"
     constraints: list[Any] = []
     if get_origin(items[0]) is Annotated:
         for extra in items[0].__metadata__:
