@@ -62,8 +62,9 @@ static void clearance_row(gtmr_controller *c, int stage, response of)
     const double *gradient = c->clearances[stage + 1].gradient;
     const int length = PADDED((stage + 1) * N_U);
     memset(row, 0, length * sizeof(double));
-    add_scaled(row, gradient[0], of[0], length);
-    add_scaled(row, gradient[1], of[1], length);
+    for (int k = 0; k < CLEARANCE_STATES; ++k) {
+        add_scaled(row, gradient[k], of[CLEARANCE_STATE[k]], length);
+    }
 }
 
 /* What the margin's gradient adds to it, by a backward sweep through the closed loop. */
