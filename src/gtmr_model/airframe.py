@@ -35,16 +35,16 @@ EDGE_ON = 1e-12
 a millionth of its radius."""
 
 
-def disc_clearances(pose: Any, vehicle: Vehicle, tower: Tower) -> Any:
-    """Clearance of every rotor disc [m], shape (N_p,), on CasADi symbols.
+def disc_distances(pose: Any, vehicle: Vehicle) -> Any:
+    """Distance of every rotor disc to the tower's axis [m], shape (N_p,), on CasADi symbols.
 
     A disc of radius r about the thrust axis n has its hub at c = p + R(eta) p_i. Its horizontal
     extent along a horizontal unit vector d is r sqrt(1 - (n d)^2), its support function, so that
-    d c - r sqrt(1 - (n d)^2) - R is a lower bound of its distance to the tower's surface for any
-    d, and the distance itself for the best. Here d points from the tower's axis to the hub: exact
+    d c - r sqrt(1 - (n d)^2) is a lower bound of its distance to the axis for any d, and the
+    distance itself for the best. Here d points from the tower's axis to the hub: exact
     where the axis leans along d or across it, else too small by a second-order term (for level
-    flight of a rotor tilted by 20 degrees, r = 0.15 m and R = 1 m less than 0.1 mm). Negative
-    inside the tower, which counts as endlessly high.
+    flight of a rotor tilted by 20 degrees, r = 0.15 m and R = 1 m less than 0.1 mm). The tower
+    counts as endlessly high.
 
     Parameters
     ----------
@@ -52,27 +52,23 @@ def disc_clearances(pose: Any, vehicle: Vehicle, tower: Tower) -> Any:
         [p, eta], world ENU [m], roll, pitch, yaw [rad].
     vehicle : Vehicle
         Its rotors.
-    tower : Tower
-        Its numbers may be symbols.
     """
     turn = rotation(pose[ATTITUDE])
-    clearances = []
+    distances = []
     for rotor in vehicle.rotors:
         hub = pose[POSITION] + turn @ ca.DM(rotor.position_m)
         axis = turn @ ca.DM(rotor.axis)
         distance = ca.sqrt(hub[0] * hub[0] + hub[1] * hub[1])
         lean = (hub[0] * axis[0] + hub[1] * axis[1]) / distance
         extent = vehicle.rotor_radius_m * ca.sqrt(1.0 - lean * lean + EDGE_ON)
-        clearances.append(distance - extent - tower.radius_m)
-    return ca.vertcat(*clearances)
+        distances.append(distance - extent)
+    return ca.vertcat(*distances)
 
 
 @lru_cache(maxsize=8)
 def _disc_function(vehicle: Vehicle) -> ca.Function:
-    """(pose, [R, d_min]) -> clearance of every rotor disc."""
-    tower, sizes = Tower().symbolic()
     pose = ca.SX.sym("pose", N_POSE)
-    return ca.Function("discs", [pose, sizes], [disc_clearances(pose, vehicle, tower)])
+    return ca.Function("discs", [pose], [disc_distances(pose, vehicle)])
 
 
 def airframe_clearance(states: ArrayLike, vehicle: Vehicle, tower: Tower) -> Array:
@@ -80,11 +76,11 @@ def airframe_clearance(states: ArrayLike, vehicle: Vehicle, tower: Tower) -> Arr
 
     States, or poses [p, eta], are in the world frame [m, rad]: shape (..., 6) or longer in the
     last axis; the clearance has the shape of the other axes. Never above the true distance, see
-    `disc_clearances`.
+    `disc_distances`.
     """
     poses = np.asarray(states, dtype=float)[..., :N_POSE]
-    discs = _disc_function(vehicle)(poses.reshape(-1, N_POSE).T, tower.numbers)
-    return np.asarray(discs).min(axis=0).reshape(poses.shape[:-1])
+    discs = np.asarray(_disc_function(vehicle)(poses.reshape(-1, N_POSE).T))
+    return np.asarray(discs.min(axis=0).reshape(poses.shape[:-1]) - tower.radius_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,11 +131,11 @@ def airframe_constraint(vehicle: Vehicle) -> ClearanceConstraint:
     """
     tower, sizes = Tower().symbolic()
     pose, direction = ca.SX.sym("pose", N_POSE), ca.SX.sym("direction", N_POSE)
-    discs = disc_clearances(pose, vehicle, tower)
+    discs = disc_distances(pose, vehicle)
     # Where exponents are counted from makes no difference to the value, nor to its derivatives.
     nearest = ca.SX.sym("nearest")
     blended = nearest - BLEND_M * ca.log(ca.sum1(ca.exp((nearest - discs) / BLEND_M)))
-    y = tower.min_clearance_m - blended
+    y = tower.min_clearance_m - (blended - tower.radius_m)
     gradient = ca.jacobian(y, pose)
     curvature = ca.jacobian(gradient @ direction, pose)
     results = ca.substitute([y, gradient, curvature], [nearest], [ca.mmin(discs)])
