@@ -131,7 +131,8 @@ class ControllerConfig(YamlModel):
     """Quadratic penalty on violating the tightened clearance at a stage [1/m^2]."""
     clearance_of: ClearanceOf = "centre"
     """Of what the clearance is constrained: of the vehicle's centre, as in the paper, or of its
-    airframe, the nearest rotor disc."""
+    airframe, the nearest rotor disc. Margins then count how the attitude moves the discs; a QP
+    holds the attitude at the iterate's, so that to tilt or to turn is no way to keep clear."""
     switch_time_s: float = Field(1.0, ge=0.0, le=10.0)
     """How long the margins take to come in, or to go, after the mode was switched in flight [s];
     0 is at once, which jerks a vehicle that is inside the tightened shell. Chosen by measurement;

@@ -32,9 +32,7 @@ def propagate(dF_dx: Array, dF_dzeta: Array) -> Array:
     return pi
 
 
-def clearance_sensitivity(
-    x: Array, pi: Array, constraint: ClearanceConstraint = CENTRE
-) -> Array:
+def clearance_sensitivity(x: Array, pi: Array, constraint: ClearanceConstraint = CENTRE) -> Array:
     """Sensitivity of the clearance constraint, Pi_y = J_yx Pi [m] per unit of zeta.
 
     Planned states, shape (N + 1, n_x) or as many of the first as the constraint depends on, and

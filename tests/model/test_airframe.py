@@ -104,6 +104,6 @@ def test_constraint_does_not_depend_on_the_height():
     assert constraint_on("centre", PAPER) is CENTRE
 
 
-def test_a_negative_radius_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="rotor_radius_m = -0.1: .*greater than or equal to 0"):
+def test_a_negative_radius_is_refused():
+    with pytest.raises(ConfigError, match=r"rotor_radius_m = -0.1: .*greater than or equal to 0"):
         Vehicle.parse(PAPER.model_dump() | {"rotor_radius_m": -0.1}, "vehicle")

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gtmr_model import CHANNELS
+from gtmr_model import CHANNELS, Tower
 from gtmr_nmpc import Controller, ControllerConfig
 from gtmr_nmpc.online.performance import Performance, standing
 from gtmr_nmpc.solution import Timing

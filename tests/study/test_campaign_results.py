@@ -15,6 +15,7 @@ import pandas as pd
 import pytest
 from support.campaign_runs import without_times
 
+from gtmr_model import Tower, Vehicle, airframe_clearance
 from gtmr_nmpc import Controller
 from gtmr_sim import FlightLog, fly
 from gtmr_study.campaign import trial
@@ -71,6 +72,8 @@ def test_a_row_is_the_flight_of_its_seed(flown):
     assert (row["trial"], row["mode"], row["seed"]) == (1, "robust", scenario.seed)
     assert row["min_clearance_m"] == pytest.approx(log.d_T.min(), abs=1e-6)
     assert row["residual_max_m"] == pytest.approx(0.2 - log.d_T.min(), abs=1e-6)
+    airframe = airframe_clearance(log.x, Vehicle.paper(), Tower())
+    assert row["min_airframe_clearance_m"] == pytest.approx(airframe.min(), abs=1e-6)
 
 
 def test_a_trial_that_raises_is_reported_in_its_row(monkeypatch):
@@ -111,6 +114,7 @@ def test_every_summary_figure_is_recomputed_from_the_csv_by_plain_pandas(flown, 
             "violations": rows["violated"].sum(),
             "violation_rate": rows["violated"].mean(),
             "min_clearance_m": rows["min_clearance_m"].min(),
+            "min_airframe_clearance_m": rows["min_airframe_clearance_m"].min(),
             "median_clearance_m": rows["d_min_m"].iloc[0] - pooled.quantile(0.5),
             "residual_m": {
                 "min": rows["residual_min_m"].min(),

@@ -31,8 +31,8 @@ WRITTEN_FLAGS = ("-O3", "-ffp-contract=fast")
 def c_sources(config: ControllerConfig) -> dict[str, str]:
     """All sources of the controller of a problem, by file name.
 
-    They depend on the vehicle, the reference's form, T_s, N and ``clearance_of`` alone; all else is in
-    ``gtmr_parameters``.
+    They depend on the vehicle, the reference's form, T_s, N and ``clearance_of`` alone; all else
+    is in ``gtmr_parameters``.
     """
     folder = files("gtmr_nmpc.compiled") / "c"
     written = {
@@ -102,8 +102,9 @@ def _model(config: ControllerConfig) -> dict[str, str]:
  * lambda' (dF/dx Pi s + dF/dzeta s) in (x, u). */
 {prototypes}
 
-/* One point a call. (t, R, d_min, numbers of the reference) -> r, in the order of h. (x, R, d_min) of
- * the first states x -> y and J_yx; (x, direction) -> d(J_yx direction)/dx; in CLEARANCE_STATE_LIST.
+/* One point a call. (t, R, d_min, numbers of the reference) -> r, in the order of h. (x, R,
+ * d_min), x the first states -> y and J_yx, (x, direction) -> d(J_yx direction)/dx, both by the
+ * states of CLEARANCE_STATE_LIST.
  * (x, u, force, torque, dt) -> F without rotors, over dt. */
 {prototypes_by_point}
 
@@ -177,7 +178,8 @@ def _clearance(config: ControllerConfig) -> list[ca.Function]:
     """Write y with J_yx, and the curvature, as functions of their own; nonzeros of J_yx only."""
     constraint = config.clearance_constraint
     x, sizes, direction = (
-        ca.SX.sym(n, k) for n, k in (("x", constraint.length), ("sizes", 2), ("d", constraint.length))
+        ca.SX.sym(n, k)
+        for n, k in (("x", constraint.length), ("sizes", 2), ("d", constraint.length))
     )
     y, gradient, curvature = constraint.function(x, sizes, direction)
     bent = ca.densify(curvature[list(constraint.states)])

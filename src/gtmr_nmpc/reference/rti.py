@@ -172,10 +172,12 @@ class RealTimeIteration:
         hessian[np.diag_indices_from(hessian)] += 2.0 * q_u
 
         constraint = self.config.clearance_constraint
-        gradient_y, states = constraint.gradient(iterate.x), slice(constraint.length)
-        rows = np.einsum("ij,ijk->ik", gradient_y, dx_du[:, states])
-        rows_dx0 = np.einsum("ij,ijk->ik", gradient_y, dx_dx0[:, states])
-        offset = np.einsum("ij,ij->i", gradient_y, defect[:, states])
+        # By position alone, the attitude being the iterate's: with the attitude's part too, a wind
+        # that never ends makes the vehicle tip over to keep its discs away.
+        gradient_y = constraint.gradient(iterate.x)[:, POSITION]
+        rows = np.einsum("ij,ijk->ik", gradient_y, dx_du[:, POSITION])
+        rows_dx0 = np.einsum("ij,ijk->ik", gradient_y, dx_dx0[:, POSITION])
+        offset = np.einsum("ij,ij->i", gradient_y, defect[:, POSITION])
         if robust:
             pi = sensitivity.propagate(a, rest[0])
             told = Iterate(self.config, iterate.x, iterate.u, lambda: pi)

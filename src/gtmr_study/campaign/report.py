@@ -103,6 +103,7 @@ _ROWS: tuple[tuple[str, Value], ...] = (
         lambda s: " to ".join(f"{100 * bound:.1f}" for bound in s["violation_rate_95"]) + " %",
     ),
     ("least clearance [m]", lambda s: f"<strong>{s['min_clearance_m']:.3f}</strong>"),
+    ("least clearance of the airframe [m]", lambda s: signed(s["min_airframe_clearance_m"])),
     ("median clearance [m]", lambda s: f"{s['median_clearance_m']:.3f}"),
     ("residual s, maximum [m]", _residual("max")),
     ("upper quartile [m]", _residual("q3")),

@@ -35,10 +35,11 @@ def summarise(trials: pd.DataFrame) -> dict[str, dict[str, Any]]:
     """Boil a campaign down to its figures, a mode at a time.
 
     By mode: ``trials`` flown, ``errors``, ``violations``, the rate and its 95 % interval, the
-    least clearance of any trial, the residual pooled over all instants of all trials
-    (``residual_m``; its quartiles from the percentiles that every row keeps), the clearance at its
-    median, the root mean square of d_T - d_ref over all instants, and solve times (mean over all
-    steps; medians over the trials of a trial's median and 99th percentile).
+    least clearance of any trial, of the centre and of the airframe (the nearest rotor disc), the
+    residual pooled over all instants of all trials (``residual_m``; its quartiles from the
+    percentiles that every row keeps), the clearance at its median, the root mean square of
+    d_T - d_ref over all instants, and solve times (mean over all steps; medians over the trials of
+    a trial's median and 99th percentile).
     """
     return {
         mode: _summary(trials[trials["mode"] == mode])
@@ -70,6 +71,7 @@ def _summary(trials: pd.DataFrame) -> dict[str, Any]:
             "q3": float(pooled.quantile(0.75)),
             "max": float(flown["residual_max_m"].max()),
         },
+        "min_airframe_clearance_m": float(flown["min_airframe_clearance_m"].min()),
         "radial_rms_m": math.sqrt((flown["radial_rms_m"] ** 2).mean()),
         "solve_ms": {
             "mean": float(flown["solve_ms_mean"].mean()),

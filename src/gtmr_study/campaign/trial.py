@@ -42,6 +42,7 @@ COLUMNS = (
     *QUANTILE_COLUMNS,
     "residual_max_m",
     "radial_rms_m",
+    "min_airframe_clearance_m",
     "max_slack_m",
     "failed_steps",
     "solve_ms_mean",
@@ -104,6 +105,7 @@ def _figures(log: FlightLog, scenario: Scenario) -> Row:
         **dict(zip(QUANTILE_COLUMNS, percentiles, strict=True)),
         "residual_max_m": round(highest, 6),
         "radial_rms_m": round(float(np.sqrt(np.mean(off_reference_m**2))), 6),
+        "min_airframe_clearance_m": round(float(log.d_airframe.min()), 6),
         # None leaves the cell empty.
         "max_slack_m": None if log.max_slack_m is None else round(log.max_slack_m, 6),
         "failed_steps": log.failed_steps,

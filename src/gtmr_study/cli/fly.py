@@ -126,6 +126,7 @@ def fly_command(
         "gust": gust,
         "zeta": list(scenario.zeta),
         **residual_statistics(d_min - log.d_T, d_min),
+        "min_airframe_clearance_m": float(log.d_airframe.min()),
         "solve_ms": solve_statistics(log.solve_ms),
         "failed_steps": log.failed_steps,
         "max_slack_m": log.max_slack_m,

@@ -55,16 +55,15 @@ static void advance_body(const gtmr_controller *c, int stage, response of)
     }
 }
 
-/* Row of the clearance one stage on, with the margin held. */
+/* Row of the clearance one stage on, by its position, with attitude and margin held. */
 static void clearance_row(gtmr_controller *c, int stage, response of)
 {
     double *row = c->rows[row_of(stage, CLEARANCE)];
     const double *gradient = c->clearances[stage + 1].gradient;
     const int length = PADDED((stage + 1) * N_U);
     memset(row, 0, length * sizeof(double));
-    for (int k = 0; k < CLEARANCE_STATES; ++k) {
-        add_scaled(row, gradient[k], of[CLEARANCE_STATE[k]], length);
-    }
+    add_scaled(row, gradient[0], of[0], length);
+    add_scaled(row, gradient[1], of[1], length);
 }
 
 /* What the margin's gradient adds to it, by a backward sweep through the closed loop. */

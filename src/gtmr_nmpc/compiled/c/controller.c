@@ -166,14 +166,12 @@ static int inequalities(gtmr_controller *c, const double *x)
             broken |= outside(c, input, INPUT_ROUNDING) | outside(c, speed, SPEED_ROUNDING);
         }
         const clearance *y = &c->clearances[i + 1];
+        const double *dp = c->step[i + 1];
         const int row = row_of(i, CLEARANCE);
         c->lower[row] = -HUGE_VAL;
         c->upper[row] = 0.0;
-        c->value[row] = y->residual;
-        for (int k = 0; k < CLEARANCE_STATES; ++k) {
-            c->value[row] += y->gradient[k] * c->step[i + 1][CLEARANCE_STATE[k]];
-        }
-        c->value[row] += change[i + 1];
+        c->value[row] =
+            y->residual + y->gradient[0] * dp[0] + y->gradient[1] * dp[1] + change[i + 1];
         broken |= outside(c, row, CLEARANCE_ROUNDING);
     }
     return broken;

@@ -47,7 +47,7 @@ typedef struct {
 
 /* The clearance constraint at a stage. */
 typedef struct {
-    double gradient[CLEARANCE_STATES]; /* of y in the states that it depends on, J_yx */
+    double gradient[CLEARANCE_STATES]; /* J_yx: of y in p_x, p_y, then in the others */
     double residual;    /* y + alpha along the iterate [m] */
     double alpha_p;
     double alpha_g;
