@@ -10,7 +10,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -41,6 +41,7 @@ def poses(most_tilt_rad):
     return made.map(lambda v: np.array([v[0] * np.cos(v[1]), v[0] * np.sin(v[1]), *v[2:]]))
 
 
+@settings(deadline=None)
 @given(poses(0.2), st.sampled_from(["paper", "octo", "quad"]))
 def test_clearance_is_that_of_the_nearest_point_of_the_discs_to_a_tenth_of_a_millimetre(
     pose, name
@@ -50,6 +51,7 @@ def test_clearance_is_that_of_the_nearest_point_of_the_discs_to_a_tenth_of_a_mil
     assert truth - 1e-4 <= airframe_clearance(pose, vehicle, TOWER) <= truth + 1e-5
 
 
+@settings(deadline=None)
 @given(poses(1.4))
 def test_clearance_is_never_above_the_truth_at_any_tilt(pose):
     truth = sampled_clearance(pose, PAPER, TOWER)
@@ -75,6 +77,7 @@ def test_clearance_keeps_the_shape_of_its_states():
     assert airframe_clearance(states[0, 0], PAPER, TOWER).shape == ()
 
 
+@settings(deadline=None)
 @given(poses(0.6))
 def test_constraint_is_below_the_clearance_by_at_most_its_blend(pose):
     y = airframe_constraint(PAPER).residual(pose[None], TOWER)[0]
@@ -82,6 +85,7 @@ def test_constraint_is_below_the_clearance_by_at_most_its_blend(pose):
     assert nearest - 1e-12 <= y <= nearest + BLEND_M * np.log(PAPER.n_rotors) + 1e-12
 
 
+@settings(deadline=None)
 @given(poses(0.6))
 def test_constraints_derivatives_are_those_of_finite_differences(pose):
     constraint, step = airframe_constraint(PAPER), 1e-6
