@@ -57,7 +57,7 @@ setup(
         "daqp",
         "mcap",
         "numpy>=1.26",
-        "pydantic>=2",
+        "pydantic>=2.10",
         "pyyaml",
         "rosbags>=0.11",
         "scipy",

@@ -61,6 +61,13 @@ def _shown(value: Any) -> str:
     return text if len(text) <= MAX_VALUE_TEXT else f"{text[:MAX_VALUE_TEXT]}..."
 
 
+def presets_of(kind: str) -> dict[str, Path]:
+    """List the configurations of a kind that come with the package: their files by name."""
+    folder = files("gtmr_model") / "config" / kind
+    there = (Path(str(entry)) for entry in folder.iterdir())
+    return {file.stem: file for file in sorted(there) if file.suffix == ".yaml"}
+
+
 class YamlModel(BaseModel):
     """An immutable configuration: unknown fields and values out of range are refused."""
 
@@ -112,12 +119,10 @@ class YamlModel(BaseModel):
 
         The kind is the folder under ``config/``. Raises ConfigError if there is no such preset.
         """
-        folder = files("gtmr_model") / "config" / kind
-        files_there = (Path(entry.name) for entry in folder.iterdir())
-        known = sorted(file.stem for file in files_there if file.suffix == ".yaml")
+        known = presets_of(kind)
         if name not in known:
             raise ConfigError(f"{kind} = {name!r}: there is {', '.join(known)}, or a YAML file")
-        return cls.from_yaml(Path(str(folder / f"{name}.yaml")))
+        return cls.from_yaml(known[name])
 
     @classmethod
     def load(cls, kind: str, name_or_path: str) -> Self:

@@ -37,7 +37,7 @@ GUST_KINDS = ("ou", "dryden", "sinusoid", "worst-case", "l1", "none")
 shares of the bound towards the tower, none: those that come with the suite."""
 
 
-Purpose = Literal["zeta", "gust", "odometry", "wind"]
+Purpose = Literal["zeta", "gust", "odometry", "wind", "guard"]
 """What random numbers are drawn for."""
 
 

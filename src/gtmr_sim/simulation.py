@@ -117,13 +117,18 @@ class Simulation:
         if self._guard is not None:
             self._guard.reset()
             if self._sensor is not None:
-                self._warm_up(self._guard, self._sensor)
+                self._warm_up(self._guard)
         self._draw_gust()
 
-    def _warm_up(self, guard: Guard, sensor: Sensor) -> None:
+    def _warm_up(self, guard: Guard) -> None:
         """Let the guard watch a vehicle on its way to the start: noise is no speed then."""
         helix, tower, x = self.scenario.helix, self.scenario.tower, self.x.copy()
-        period_s = self._act * self.scenario.step_s
+        step_s = self.scenario.step_s
+        # With random numbers of its own, or the guard would change the flight's.
+        sensor = Sensor(
+            self.scenario.world.odometry, self.scenario.rng("guard"), step_s, self._act
+        )
+        period_s = self._act * step_s
         before = helix.at(-period_s * np.arange(round(WARM_UP_S / period_s), 0, -1), tower)
         unmoved = np.zeros(self.scenario.vehicle.n_rotors)
         for x[POSITION], x[YAW] in zip(before.position, before.yaw, strict=True):

@@ -8,7 +8,6 @@
 
 """What the tower's wall does to rotors beside it: suction, and a loss of thrust."""
 
-import math
 from functools import partial
 from typing import Any
 
@@ -48,7 +47,7 @@ def wall_effect(wall: Wall, x: Any, zeta: Any, vehicle: Vehicle, tower: Tower) -
     The pull acts on the hubs, horizontally towards the tower's axis.
     """
     to_world, xi = rotation(x[ATTITUDE]), x[ROTORS]
-    share = wall.suction_n / sum(_nearness_at_reference(wall, vehicle, tower))
+    share = wall.suction_n / _pull_at_reference(wall, vehicle, tower)
     force, torque = ca.SX(3, 1), ca.SX(3, 1)
     for i, rotor in enumerate(vehicle.rotors):
         arm = ca.DM(rotor.position_m)
@@ -63,12 +62,13 @@ def wall_effect(wall: Wall, x: Any, zeta: Any, vehicle: Vehicle, tower: Tower) -
     return to_world @ force, torque
 
 
-def _nearness_at_reference(wall: Wall, vehicle: Vehicle, tower: Tower) -> list[float]:
-    """exp(-d / decay_m) of each rotor where ``suction_n`` is the pull."""
-    away = tower.radius_m + wall.reference_m
+def _pull_at_reference(wall: Wall, vehicle: Vehicle, tower: Tower) -> float:
+    """Sum over the hubs of exp(-d / decay_m), inward, where ``suction_n`` is the whole pull."""
     hubs = np.array([rotor.position_m for rotor in vehicle.rotors])
-    rho = np.hypot(away - hubs[:, 0], hubs[:, 1])
-    return [math.exp(-max(d, 0.0) / wall.decay_m) for d in rho - tower.radius_m]
+    outward = tower.radius_m + wall.reference_m - hubs[:, 0]
+    rho = np.hypot(outward, hubs[:, 1])
+    nearness = np.exp(-np.maximum(rho - tower.radius_m, 0.0) / wall.decay_m)
+    return float(nearness @ (outward / rho))
 
 
 def effect_of(wall: Wall) -> Any:

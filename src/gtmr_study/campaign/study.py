@@ -8,6 +8,8 @@
 
 """A study in one file: who flies, against which uncertainty, how often, by which plan."""
 
+from __future__ import annotations
+
 from functools import lru_cache
 from typing import Annotated, Any
 
@@ -17,9 +19,11 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 from typing_extensions import Self
 
 from gtmr_model import ConfigError, UncertaintySet, YamlModel
+from gtmr_model.yaml_model import presets_of
 from gtmr_nmpc import MODES, PAPER_MODES, ControllerConfig, Mode
-from gtmr_sim import GustConfig, Scenario
+from gtmr_sim import GustConfig, Scenario, World
 from gtmr_sim.scenario import EffectNames, whole_steps
+from gtmr_sim.worlds.world import PAPER, NamedWorld
 from gtmr_study.campaign.plans import TrialPlan
 from gtmr_study.own_controller import ControllerFingerprint
 
@@ -41,11 +45,30 @@ NamedController = Annotated[ControllerConfig, BeforeValidator(_by_name)]
 """A controller in a study: its fields, a preset's name, or the path of a YAML file."""
 
 
+def controller_for(world: World) -> str:
+    """Name the preset of a controller that is told of a world: that of its name, or the default.
+
+    A world is known by what it is, however it was named.
+    """
+    if world == PAPER:
+        return "default"
+    told = sorted(presets_of("world").keys() & presets_of("controller").keys())
+    known = (name for name in told if World.preset("world", name) == world)
+    return next(known, "default")
+
+
 class Study(YamlModel):
     """A Monte-Carlo campaign; the same study is the same flights wherever it runs."""
 
-    controller: NamedController = Field(default_factory=lambda: _by_name("default"))
-    """The controller, with the vehicle, tower and helix that it believes in."""
+    world: NamedWorld = PAPER
+    """What the vehicle meets beyond eq. (3): a preset's name, a YAML file, or the effects."""
+    controller: NamedController = Field(
+        default_factory=lambda data: ControllerConfig.load(
+            "controller", controller_for(data.get("world", PAPER))
+        )
+    )
+    """The controller, with the vehicle, tower and helix that it believes in; left out: the one
+    that is told of the world."""
     modes: tuple[Mode, ...] = Field(PAPER_MODES, min_length=1)
     """Which modes fly every trial."""
     own_controller: ControllerFingerprint | None = None
@@ -60,7 +83,8 @@ class Study(YamlModel):
     plan: TrialPlan = TrialPlan()
     """Which true mismatches are flown."""
     gust: GustConfig = GustConfig()
-    """The gusts; their bound is that of ``uncertainty``."""
+    """The gusts; their bound is that of ``uncertainty``. ``l1`` without a ``sequence`` plays the
+    worst one for the mode that flies."""
     effects: EffectNames = ()
     """Forces and torques on the true vehicle beyond eq. (3), by their registered names."""
     uncertainty: UncertaintySet | None = None
@@ -104,6 +128,16 @@ class Study(YamlModel):
         """Every trial in every mode: what there is to fly."""
         return [(trial, mode) for trial in range(self.n_trials) for mode in self.flown_modes]
 
+    def against(self, mode: str) -> Study:
+        """Return this study with the gusts that a mode shall meet: the worst ones, if it says so.
+
+        ConfigError if these are asked for against a controller of one's own.
+        """
+        if self.gust.kind != "l1" or any(self.gust.sequence):
+            return self
+        gust = self.gust.model_copy(update={"sequence": worst_gusts(self.controller, mode)})
+        return self.model_copy(update={"gust": gust})
+
     def scenario(self, trial: int) -> Scenario:
         """Make the world of a trial, with its own seed and true zeta: the same for all modes."""
         controller = self.controller
@@ -113,6 +147,7 @@ class Study(YamlModel):
             helix=controller.helix,
             uncertainty=self.true_uncertainty,
             gust=self.gust,
+            world=self.world,
             effects=self.effects,
             # The paper's study has no guard.
             guard="hold",
@@ -122,6 +157,20 @@ class Study(YamlModel):
         if points is None:
             return scenario.sampled()
         return scenario.model_copy(update={"zeta": tuple(points[trial % len(points)].tolist())})
+
+
+@lru_cache(maxsize=8)
+def worst_gusts(controller: ControllerConfig, mode: str) -> tuple[float, ...]:
+    """Compute what gust ``l1`` plays against a mode: shares of the bound, one a hold period [-].
+
+    ConfigError if it is none of the suite's modes.
+    """
+    if mode not in MODES:
+        raise ConfigError(f"gust 'l1' against {mode}: it is known for {', '.join(MODES)}")
+    # Only here, as it takes long to import.
+    from gtmr_nmpc.closed_loop import l1_sequence
+
+    return l1_sequence(controller, mode)
 
 
 def mode_order(mode: str) -> int:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gtmr_model import CHANNELS
 from gtmr_study.campaign.study import mode_order
-from gtmr_study.campaign.trial import FLOWN, QUANTILE_COLUMNS
+from gtmr_study.campaign.trial import ADDED_COLUMNS, FLOWN, QUANTILE_COLUMNS
 
 CONFIDENCE_Z = 1.959964
 """Quantile of the normal distribution for intervals of 95 % [-]."""
@@ -35,11 +35,13 @@ def summarise(trials: pd.DataFrame) -> dict[str, dict[str, Any]]:
     """Boil a campaign down to its figures, a mode at a time.
 
     By mode: ``trials`` flown, ``errors``, ``violations``, the rate and its 95 % interval, the
-    least clearance of any trial, of the centre and of the airframe (the nearest rotor disc), the
-    residual pooled over all instants of all trials (``residual_m``; its quartiles from the
-    percentiles that every row keeps), the clearance at its median, the root mean square of
-    d_T - d_ref over all instants, and solve times (mean over all steps; medians over the trials of
-    a trial's median and 99th percentile).
+    least clearance of any trial, the residual pooled over all instants of all trials
+    (``residual_m``; its quartiles from the percentiles that every row keeps), the clearance at its
+    median, the root mean square of d_T - d_ref over all instants, and solve times (mean over all
+    steps; medians over the trials of a trial's median and 99th percentile). Of every plant step
+    are ``violations_any_time`` and ``min_clearance_any_time_m``, of the time after the start
+    ``radial_rms_settled_m``; a campaign of before tells none of these, nor ``mean_clearance_m``,
+    nor ``min_airframe_clearance_m``, the least clearance of a rotor disc.
     """
     return {
         mode: _summary(trials[trials["mode"] == mode])
@@ -71,7 +73,6 @@ def _summary(trials: pd.DataFrame) -> dict[str, Any]:
             "q3": float(pooled.quantile(0.75)),
             "max": float(flown["residual_max_m"].max()),
         },
-        "min_airframe_clearance_m": float(flown["min_airframe_clearance_m"].min()),
         "radial_rms_m": math.sqrt((flown["radial_rms_m"] ** 2).mean()),
         "solve_ms": {
             "mean": float(flown["solve_ms_mean"].mean()),
@@ -80,6 +81,21 @@ def _summary(trials: pd.DataFrame) -> dict[str, Any]:
         },
         # Not every controller tells.
         "failed_steps": None if failed.isna().all() else int(failed.sum()),
+        **_any_time(flown.reindex(columns=list(ADDED_COLUMNS))),
+    }
+
+
+def _any_time(flown: pd.DataFrame) -> dict[str, Any]:
+    if flown["min_clearance_any_time_m"].isna().all():
+        return {}
+    settled = flown["radial_rms_settled_m"].astype(float)
+    return {
+        "violations_any_time": int(flown["violated_any_time"].astype(bool).sum()),
+        "min_clearance_any_time_m": float(flown["min_clearance_any_time_m"].min()),
+        "mean_clearance_m": float(flown["mean_clearance_m"].mean()),
+        # No flight may be long enough.
+        "min_airframe_clearance_m": float(flown["min_airframe_clearance_m"].min()),
+        "radial_rms_settled_m": (None if settled.isna().all() else math.sqrt((settled**2).mean())),
     }
 
 

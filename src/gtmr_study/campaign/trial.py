@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gtmr_model import CHANNELS
 from gtmr_nmpc import Controller
@@ -28,6 +29,16 @@ QUANTILES_PERCENT = tuple(2.5 + 5.0 * k for k in range(20))
 """Which percentiles of a trial's residual a row keeps: the middles of twenty equal parts, so that
 those of all trials together are a sample of the residual pooled over all trials."""
 QUANTILE_COLUMNS = tuple(f"residual_{percent:04.1f}_m" for percent in QUANTILES_PERCENT)
+ADDED_COLUMNS = (
+    "min_clearance_any_time_m",
+    "violated_any_time",
+    "mean_clearance_m",
+    "radial_rms_settled_m",
+    "min_airframe_clearance_m",
+)
+"""Columns that campaigns of before do not have: of every plant step instead of every sampling
+time, of d_T - d_ref from `SETTLED_S` on, empty for flights that end before, and of the airframe,
+the nearest rotor disc."""
 COLUMNS = (
     "trial",
     "mode",
@@ -42,7 +53,7 @@ COLUMNS = (
     *QUANTILE_COLUMNS,
     "residual_max_m",
     "radial_rms_m",
-    "min_airframe_clearance_m",
+    *ADDED_COLUMNS,
     "max_slack_m",
     "failed_steps",
     "solve_ms_mean",
@@ -51,6 +62,10 @@ COLUMNS = (
 )
 """Columns of trials.csv; lengths are rounded to 1e-6 m, percentiles to 1e-4 m. ``max_slack_m`` and
 ``failed_steps`` are empty for a controller that does not tell."""
+FIRST_COLUMNS = tuple(name for name in COLUMNS if name not in ADDED_COLUMNS)
+"""Columns that trials.csv always had."""
+SETTLED_S = 5.0
+"""When the start of a flight is over [s]."""
 
 
 def fly_trials(
@@ -67,7 +82,7 @@ def fly_trial(study: Study, trial: int, mode: str, own: OwnController | None = N
     """
     row = empty_row(trial, mode)
     try:
-        scenario = study.scenario(trial)
+        scenario = study.against(mode).scenario(trial)
         zeta = np.round(scenario.zeta_array, 6).tolist()
         row.update(seed=scenario.seed, **dict(zip(CHANNELS, zeta, strict=True)))
         controller: StepController = (
@@ -96,6 +111,7 @@ def _figures(log: FlightLog, scenario: Scenario) -> Row:
         raise ValueError("the flight diverged: its clearance is not finite")
     highest = float(residual.max())
     percentiles = np.round(np.percentile(residual, QUANTILES_PERCENT), 4).tolist()
+    settled = off_reference_m[log.t >= SETTLED_S]
     median_ms, p99_ms = np.percentile(log.solve_ms, (50, 99))
     return {
         "d_min_m": tower.min_clearance_m,
@@ -104,12 +120,20 @@ def _figures(log: FlightLog, scenario: Scenario) -> Row:
         "residual_min_m": round(float(residual.min()), 6),
         **dict(zip(QUANTILE_COLUMNS, percentiles, strict=True)),
         "residual_max_m": round(highest, 6),
-        "radial_rms_m": round(float(np.sqrt(np.mean(off_reference_m**2))), 6),
-        "min_airframe_clearance_m": round(float(log.d_airframe.min()), 6),
+        "radial_rms_m": round(_rms(off_reference_m), 6),
         # None leaves the cell empty.
         "max_slack_m": None if log.max_slack_m is None else round(log.max_slack_m, 6),
         "failed_steps": log.failed_steps,
         "solve_ms_mean": round(float(log.solve_ms.mean()), 4),
         "solve_ms_median": round(float(median_ms), 4),
         "solve_ms_p99": round(float(p99_ms), 4),
+        "min_clearance_any_time_m": round(log.least_clearance_m, 6),
+        "violated_any_time": log.least_clearance_m < tower.min_clearance_m,
+        "mean_clearance_m": round(float(log.d_T.mean()), 6),
+        "radial_rms_settled_m": round(_rms(settled), 6) if settled.size else None,
+        "min_airframe_clearance_m": round(float(log.d_airframe.min()), 6),
     }
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -23,7 +23,7 @@ from typing import Any
 import pandas as pd
 
 from gtmr_study.campaign.study import Study, mode_order
-from gtmr_study.campaign.trial import COLUMNS, Row
+from gtmr_study.campaign.trial import COLUMNS, FIRST_COLUMNS, Row
 from gtmr_study.result_files import UNFINISHED, InputError, write_json, write_whole
 
 STUDY_FILE = "study.json"
@@ -68,15 +68,18 @@ def read_study(folder: Path) -> Study:
 
 
 def read_trials(folder: Path) -> pd.DataFrame:
-    """Read the rows of a campaign, the columns of trials.csv; InputError if there are none."""
+    """Read the rows of a campaign, the columns of trials.csv; InputError if there are none.
+
+    A campaign of before has empty cells in the columns that were added since.
+    """
     path = folder / TRIALS_FILE
     try:
         table = pd.read_csv(path)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
-    if tuple(table.columns) != COLUMNS:
+    if tuple(table.columns) not in (COLUMNS, FIRST_COLUMNS):
         raise InputError(f"{path}: does not have the columns of a campaign")
-    return table
+    return table.reindex(columns=list(COLUMNS))
 
 
 def require_own_or_empty(option: str, folder: Path, study: Study) -> None:

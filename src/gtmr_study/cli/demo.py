@@ -19,11 +19,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gtmr_nmpc import MODES
+from gtmr_sim import World
 from gtmr_study.cli.fly import print_flights, require_duration
 from gtmr_study.cli.replay import damage_told, tell_coverage
 from gtmr_study.cli.terminal import (
     DurationOption,
     JsonOption,
+    WorldOption,
     complain,
     console,
     needs_ros,
@@ -42,6 +44,7 @@ def demo_command(
     modes: Annotated[
         str, option("MODE,...", "Which modes to fly, one after the other.")
     ] = ",".join(MODES),
+    world: WorldOption = None,
     out: Annotated[
         Path | None, option("DIR", "Folder of bags and report; new or empty.  [bags/demo-*]")
     ] = None,
@@ -57,6 +60,9 @@ def demo_command(
         require_choice("--modes", mode, MODES)
     if len(set(chosen)) < len(chosen):
         raise InputError(f"--modes = {modes!r}: names a mode twice")
+    met = world if world is not None else "paper"
+    # Only to see whether it is one, before anything is started.
+    World.load("world", met)
     folder = out if out is not None else Path("bags") / time.strftime("demo-%Y-%m-%d-%H-%M-%S")
     require_empty_folder("--out", folder)
     require_folder_of("--json", json)
@@ -84,7 +90,7 @@ def demo_command(
                 bar.update(task, completed=time_s, description=text)  # noqa: B023
 
             try:
-                bag = fly_in_ros(mode, duration, folder / mode, show, view)
+                bag = fly_in_ros(mode, duration, folder / mode, show, view, met)
             except DemoError as error:
                 complain(error)
                 raise typer.Exit(1) from None

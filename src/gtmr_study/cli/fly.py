@@ -17,15 +17,18 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from gtmr_model import Vehicle
+from gtmr_model import Helix, Vehicle
 from gtmr_monitor.residual import residual_statistics, solve_statistics
 from gtmr_nmpc import MODES, Controller, ControllerConfig
-from gtmr_sim import GUST_KINDS, GUSTS, FlightError, GustConfig, Scenario, StepController, fly
+from gtmr_sim import GUST_KINDS, GUSTS, FlightError, Scenario, StepController, World, fly
+from gtmr_study.campaign.study import controller_for, worst_gusts
 from gtmr_study.cli.terminal import (
     CONTROLLER_OR_OWN,
+    DRefOption,
     DurationOption,
     JsonOption,
     VehicleOption,
+    WorldOption,
     console,
     figures,
     option,
@@ -60,14 +63,16 @@ def fly_command(
         bool, typer.Option("--sample", help="Draw the true mismatch from its bounds by the seed.")
     ] = False,
     gust: Annotated[str, option("|".join(GUST_KINDS), "Gusts.")] = "ou",
+    world: WorldOption = None,
+    d_ref: DRefOption = None,
     vehicle: VehicleOption = None,
-    controller: Annotated[str, CONTROLLER_OR_OWN] = "default",
+    controller: Annotated[str | None, CONTROLLER_OR_OWN] = None,
     out: Annotated[Path | None, option("FILE.npz", "Write the flight, row by row.")] = None,
     json: JsonOption = None,
 ) -> None:
     """Fly one closed loop in this process, without ROS."""
     require_duration(duration)
-    own = OwnController.named("--controller", controller)
+    own = None if controller is None else OwnController.named("--controller", controller)
     if own is not None and mode is not None:
         raise InputError(f"--mode = {mode}: {own.name} has no modes; leave it out")
     mode = mode or "robust"
@@ -80,16 +85,20 @@ def fly_command(
     require_new_file("--out", out)
     require_folder_of("--json", json)
 
-    config = ControllerConfig.load("controller", "default" if own else controller)
+    met = World.load("world", world or "paper")
+    told = controller if controller is not None and own is None else controller_for(met)
+    config = at_distance(ControllerConfig.load("controller", told), d_ref)
     if vehicle is not None:
         config = config.model_copy(update={"vehicle": Vehicle.load("vehicle", vehicle)})
+    sequence = worst_gusts(config, own.name if own else mode) if gust == "l1" else None
     scenario = Scenario.parse(
         {
             "vehicle": config.vehicle,
             "tower": config.tower,
             "helix": config.helix,
             "uncertainty": config.uncertainty,
-            "gust": GustConfig(kind=gust),
+            "gust": {"kind": gust, **({} if sequence is None else {"sequence": sequence})},
+            "world": met,
             "seed": seed,
             **({} if zeta is None else {"zeta": zeta}),
         },
@@ -113,7 +122,7 @@ def fly_command(
         try:
             log = fly(scenario, flown, duration, config.sampling_time_s, show)
         except FlightError as error:
-            raise InputError(f"--controller = {controller}: {error}") from None
+            raise InputError(f"--controller = {controller or told}: {error}") from None
     if out is not None:
         content = io.BytesIO()
         log.save(content)
@@ -124,17 +133,32 @@ def fly_command(
         "seed": seed,
         "duration_s": duration,
         "gust": gust,
+        "world": world or "paper",
         "zeta": list(scenario.zeta),
         **residual_statistics(d_min - log.d_T, d_min),
         "min_airframe_clearance_m": float(log.d_airframe.min()),
         "solve_ms": solve_statistics(log.solve_ms),
         "failed_steps": log.failed_steps,
         "max_slack_m": log.max_slack_m,
+        "min_clearance_any_time_m": log.least_clearance_m,
+        "steady_wind_within": log.steady_wind_within,
+        "gusts_within": log.gusts_within,
     }
     print_flights({mode: result})
     if out is not None:
         console.print(f"Flight: {out}")
     write_json(json, result)
+
+
+def at_distance(config: ControllerConfig, d_ref_m: float | None) -> ControllerConfig:
+    """Return a controller whose helix is at a distance from the tower [m]; None changes nothing.
+
+    ConfigError if there can be no such helix, or the controller follows another path.
+    """
+    if d_ref_m is None:
+        return config
+    data = Helix.required(config.helix).model_dump() | {"offset_m": d_ref_m}
+    return config.model_copy(update={"helix": Helix.parse(data, f"--d-ref = {d_ref_m:g}")})
 
 
 def require_duration(duration: float) -> None:

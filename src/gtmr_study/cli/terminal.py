@@ -44,6 +44,13 @@ JsonOption = Annotated[
 ]
 DurationOption = Annotated[float, option("S", "Length of a flight [s].")]
 VehicleOption = Annotated[str | None, option("NAME|YAML", "Preset or file under config/vehicle.")]
+WorldOption = Annotated[
+    str | None,
+    option("NAME|YAML", "What the vehicle meets: a preset or file under config/world.  [paper]"),
+]
+DRefOption = Annotated[
+    float | None, option("M", "Distance of the helix from the tower's surface [m].  [0.35]")
+]
 CONTROLLER_OR_OWN = option(
     "NAME|YAML|FILE.py:CLASS",
     "Preset or file under config/controller, or a controller of your own.",

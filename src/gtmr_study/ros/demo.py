@@ -55,11 +55,12 @@ def fly_in_ros(
     folder: Path,
     on_progress: OnProgress,
     live: LiveView | None = None,
+    world: str = "paper",
 ) -> Path:
     """Fly the helix once, in real time where the machine keeps up, with one process a node.
 
-    The folder is new or empty, and receives the bag and a log of each node; ``on_progress`` is
-    called while flying.
+    The world is a preset's name or the path of a YAML file. The folder is new or empty, and
+    receives the bag and a log of each node; ``on_progress`` is called while flying.
 
     Raises DemoError if a node ends with an error, or simulated time stands still.
     """
@@ -75,6 +76,7 @@ def fly_in_ros(
         sim = start(
             "gtmr_sim.node",
             zeta=f"[{zeta}]",
+            world=world,
             duration_s=str(float(duration_s)),
             recorders="1",
             lockstep="true",

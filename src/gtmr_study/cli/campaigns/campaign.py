@@ -21,10 +21,13 @@ from rich.table import Table
 from gtmr_sim import GUST_KINDS
 from gtmr_study.campaign.plans import PLAN_KINDS
 from gtmr_study.campaign.study import Study
+from gtmr_study.cli.fly import at_distance
 from gtmr_study.cli.terminal import (
     CONTROLLER_OR_OWN,
+    DRefOption,
     DurationOption,
     JsonOption,
+    WorldOption,
     complain,
     console,
     figures,
@@ -64,6 +67,8 @@ def campaign_command(
     ] = None,
     levels: Annotated[int | None, option("L", "Values of a varied channel.  [5]")] = None,
     gust: Annotated[str | None, option("|".join(GUST_KINDS), "Gusts.  [ou]")] = None,
+    world: WorldOption = None,
+    d_ref: DRefOption = None,
     controller: Annotated[str | None, CONTROLLER_OR_OWN] = None,
     scenario: Annotated[
         str | None,
@@ -94,7 +99,13 @@ def campaign_command(
         controller=None if own else controller,
         plan={"kind": plan, "channels": varied, "levels": levels},
         gust={"kind": gust},
+        world=world,
     )
+    if d_ref is not None:
+        study = with_options(study, controller=at_distance(study.controller, d_ref))
+    for flown in study.flown_modes if own is None else (own.name,):
+        # Before anything is written: there may be no worst gusts against what flies.
+        study.against(flown)
     from gtmr_study.campaign.figures import Campaign, why_no_channels, write_figures
     from gtmr_study.campaign.run import fly_campaign
 
@@ -196,10 +207,13 @@ def with_options(study: Study, **changes: Any) -> Study:
 
     None keeps what the study says, in a dict as well.
     """
-    data = study.model_dump()
+    # What is left open stays so: the controller follows from the world.
+    dump = study.model_dump()
+    data = {name: dump[name] for name in study.model_fields_set}
     for name, value in changes.items():
         if isinstance(value, dict):
-            data[name] |= {field: given for field, given in value.items() if given is not None}
+            given = {field: each for field, each in value.items() if each is not None}
+            data[name] = dump[name] | given
         elif value is not None:
             data[name] = value
     return Study.parse(data, "campaign")
@@ -211,6 +225,7 @@ def print_summary(summary: dict[str, Any]) -> None:
     rows = {
         "trials with violation": lambda s: f"{s['violations']}/{s['trials']}",
         "least clearance [m]": lambda s: f"{s['min_clearance_m']:.3f}",
+        "  of every plant step [m]": lambda s: f"{s['min_clearance_any_time_m']:.3f}",
         "median clearance [m]": lambda s: f"{s['median_clearance_m']:.3f}",
         "residual q1, median, q3 [m]": figures("residual_m", ("q1", "median", "q3"), 3),
         "residual min, max [m]": figures("residual_m", ("min", "max"), 3),
