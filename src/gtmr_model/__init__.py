@@ -8,6 +8,7 @@
 
 """Physics and geometry that controller, plant and reports agree on; no ROS in here."""
 
+from gtmr_model.airframe import airframe_clearance
 from gtmr_model.dynamics import dynamics
 from gtmr_model.helix import Helix
 from gtmr_model.reference import Reference, ReferencePath
@@ -31,5 +32,6 @@ __all__ = [
     "UncertaintySet",
     "Vehicle",
     "YamlModel",
+    "airframe_clearance",
     "dynamics",
 ]

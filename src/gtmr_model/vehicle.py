@@ -71,6 +71,8 @@ class Vehicle(YamlModel):
     """Upper rotor speed limit [Hz]."""
     max_rotor_acceleration_hz_s: Positive
     """Limit of |u|, the rotor acceleration [Hz/s]."""
+    rotor_radius_m: Annotated[float, Field(ge=0.0)] = 0.0
+    """Radius of a rotor disc [m]; 0 where it is not known, and the hubs alone count."""
     rotors: tuple[Rotor, ...] = Field(min_length=1)
     """The rotors, in the order of xi and of every message."""
 

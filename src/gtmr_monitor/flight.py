@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gtmr_model import ReferencePath, Tower
+from gtmr_model import ReferencePath, Tower, Vehicle, airframe_clearance
 from gtmr_monitor.coverage import Coverage
 from gtmr_monitor.residual import (
     ResidualStatistics,
@@ -105,6 +105,8 @@ class Flight:
     clearance_from: str = "odom"
     """What position and attitude are of: ``ground_truth``, or ``odom`` where that was not
     recorded."""
+    vehicle: Vehicle | None = None
+    """What was flown; None if that was not recorded, or is not known here."""
     guarded: tuple[tuple[float, float], ...] | None = None
     """From when to when [s] the guard was in charge, in order; None if that was not recorded."""
     zeta: tuple[float, ...] | None = None
@@ -141,6 +143,16 @@ class Flight:
     def clearance(self) -> Array:
         """d_T at the times of the odometry [m], shape (n,)."""
         return self.tower.clearance(self.p)
+
+    @cached_property
+    def airframe_clearance(self) -> Array | None:
+        """Clearance of the nearest rotor disc at the times of the odometry [m], shape (n,).
+
+        None if the vehicle is not known.
+        """
+        if self.vehicle is None:
+            return None
+        return airframe_clearance(np.hstack([self.p, self.eta]), self.vehicle, self.tower)
 
     @cached_property
     def residual(self) -> Array:

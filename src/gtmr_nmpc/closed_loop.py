@@ -141,7 +141,7 @@ def _plan(config: ControllerConfig, radial: Array) -> _Plan:
     j_u, j_given = cost[:, first_u:], cost[:, :first_u]
     hessian = j_u.T @ j_u + config.weights.rotor_acceleration * np.eye(n * n_u)
     inputs = -np.linalg.solve(hessian, j_u.T @ j_given)
-    planned = radial @ states[:, POSITION]
+    planned = radial @ states[:, : len(radial)]
     by_given = planned[:, :first_u] + planned[:, first_u:] @ inputs
     return _Plan(
         u_x=inputs[:n_u, :n_x],
@@ -171,8 +171,9 @@ class ClosedLoop:
         own = {"weights": config.offset_free.weights} if self._observes else {}
         self._config = config = config.model_copy(update=own)
         start = config.helix.initial_state(config.tower, config.vehicle)
-        self.radial: Array = np.r_[start[:2] / np.linalg.norm(start[:2]), 0.0]
-        """Away from the tower, at the start of the reference, shape (3,)."""
+        self.radial: Array = -config.clearance_constraint.gradient(start[None])[0]
+        """Gradient of the clearance at the start of the reference, away from the tower, in the
+        states that it depends on: p, and eta for the airframe, shape (3,) or (6,)."""
         self._plant = _model(config, zeta)
         self._believed = _model(config, np.zeros(N_ZETA))
         self._plan = _plan(config, self.radial)
@@ -204,7 +205,7 @@ class ClosedLoop:
         estimate, theta = np.zeros((12, columns)), np.zeros((N_THETA, columns))
         radial, planned = [], []
         for k in range(RESPONSE_STEPS):
-            radial.append(self.radial @ x[POSITION])
+            radial.append(self.radial @ x[: len(self.radial)])
             past_x = [*past_x[1:], x]
             measured = past_x[0].copy()
             measured[BODY] += excitation.noise * (k == self._delay)
@@ -298,5 +299,5 @@ def l1_sequence(config: ControllerConfig, mode: Mode) -> tuple[float, ...]:
     been used, sign by sign: no sequence within the same bound does more to a linear loop.
     """
     loop = ClosedLoop(config, mode, np.zeros(N_ZETA))
-    radial = loop.gusts().radial[1:] @ loop.radial
+    radial = loop.gusts().radial[1:] @ loop.radial[POSITION]
     return tuple(np.where(radial[::-1] >= 0.0, 1.0, -1.0).tolist())

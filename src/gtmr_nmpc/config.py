@@ -22,7 +22,8 @@ from gtmr_model import (
     Vehicle,
     YamlModel,
 )
-from gtmr_nmpc.margins import ClosedLoopMargin, Margin, PaperMargin
+from gtmr_model.airframe import ClearanceConstraint, ClearanceOf, constraint_on
+from gtmr_nmpc.margins import ClosedLoopMargin, Margin, PaperMargin, SecondOrderMargin
 
 Mode = Literal["nominal", "robust", "offset_free"]
 MODES: tuple[Mode, ...] = ("nominal", "robust", "offset_free")
@@ -128,6 +129,10 @@ class ControllerConfig(YamlModel):
     exceeds the constraint's multiplier."""
     slack_l2: float = Field(1e4, gt=0.0)
     """Quadratic penalty on violating the tightened clearance at a stage [1/m^2]."""
+    clearance_of: ClearanceOf = "centre"
+    """Of what the clearance is constrained: of the vehicle's centre, as in the paper, or of its
+    airframe, the nearest rotor disc. Margins then count how the attitude moves the discs; a QP
+    holds the attitude at the iterate's, so that to tilt or to turn is no way to keep clear."""
     switch_time_s: float = Field(1.0, ge=0.0, le=10.0)
     """How long the margins take to come in, or to go, after the mode was switched in flight [s];
     0 is at once, which jerks a vehicle that is inside the tightened shell. Chosen by measurement;
@@ -149,3 +154,16 @@ class ControllerConfig(YamlModel):
                 "'frozen'"
             )
         return self
+
+    @model_validator(mode="after")
+    def _has_a_margin_of_the_airframe(self) -> Self:
+        if self.clearance_of == "airframe" and isinstance(self.margin, SecondOrderMargin):
+            raise ValueError(
+                f"clearance_of = 'airframe': margin = {self.margin.kind!r} is of the centre alone"
+            )
+        return self
+
+    @property
+    def clearance_constraint(self) -> ClearanceConstraint:
+        """The clearance constraint, on what ``clearance_of`` names."""
+        return constraint_on(self.clearance_of, self.vehicle)

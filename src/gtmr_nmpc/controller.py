@@ -31,7 +31,7 @@ from gtmr_nmpc.solution import Solution, Timing
 
 Array = NDArray[np.float64]
 
-FIXED = ("vehicle", "horizon", "sampling_time_s", "tightening")
+FIXED = ("vehicle", "horizon", "sampling_time_s", "tightening", "clearance_of")
 """Fields of the configuration that the controller is built for."""
 
 

@@ -387,7 +387,7 @@ class NmpcNode(SuiteNode):
                     "softened_in_window": performance.count("softened"),
                     "failed_in_window": performance.count("failed"),
                     **performance.percentiles_ms(),
-                    **(standing(last, config.tower, config.vehicle) if last else {}),
+                    **(standing(last, config) if last else {}),
                 },
                 hardware_id=config.vehicle.name,
             )

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from gtmr_model.tower import clearance_gradient
+from gtmr_model.airframe import CENTRE, ClearanceConstraint
 from gtmr_model.uncertainty import N_ZETA
 
 Array = NDArray[np.float64]
@@ -32,13 +32,14 @@ def propagate(dF_dx: Array, dF_dzeta: Array) -> Array:
     return pi
 
 
-def clearance_sensitivity(positions: Array, pi: Array) -> Array:
+def clearance_sensitivity(x: Array, pi: Array, constraint: ClearanceConstraint = CENTRE) -> Array:
     """Sensitivity of the clearance constraint, Pi_y = J_yx Pi [m] per unit of zeta.
 
-    Planned positions in the world frame [m], shape (N + 1, 3), and Pi, shape (N + 1, n_x, 9), give
-    shape (N + 1, 9).
+    Planned states, shape (N + 1, n_x) or as many of the first as the constraint depends on, and
+    Pi, shape (N + 1, n_x, 9), give shape (N + 1, 9).
     """
-    sensitivity: Array = np.einsum("ij,ijk->ik", clearance_gradient(positions), pi[:, :3, :])
+    by_state = pi[:, : constraint.length, :]
+    sensitivity: Array = np.einsum("ij,ijk->ik", constraint.gradient(x), by_state)
     return sensitivity
 
 

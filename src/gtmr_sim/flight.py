@@ -20,7 +20,7 @@ from typing import Any, BinaryIO, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gtmr_model import ConfigError, YamlModel
+from gtmr_model import ConfigError, YamlModel, airframe_clearance
 from gtmr_sim.scenario import Scenario, whole_steps
 from gtmr_sim.simulation import Simulation
 
@@ -80,6 +80,8 @@ class FlightLog:
     """Gust force held over [t_k, t_k + T_s), world frame [N], shape (K, 3)."""
     d_T: Array
     """Clearance at t_k [m], shape (K,)."""
+    d_airframe: Array
+    """Clearance of the airframe, its nearest rotor disc, at t_k [m], shape (K,)."""
     alpha_p: Array
     """Parametric margins of step k, eq. (12) [m], shape (K, N + 1)."""
     alpha_g: Array
@@ -211,6 +213,7 @@ def fly(
         zeta=scenario.zeta_array,
         w_g=w_g,
         d_T=scenario.tower.clearance(x),
+        d_airframe=airframe_clearance(x, scenario.vehicle, scenario.tower),
         **{name: np.array([getattr(step, name) for step in taken]) for name in _BY_STAGE},
         solve_ms=np.array([step.solve_ms for step in taken]),
         failed=np.array(told, dtype=bool),

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from support.written_bags import SAMPLE, cdr, copied, flown, new
 
+from gtmr_model import Vehicle
 from gtmr_monitor import BagError, BagMessage, read_flight
 
 CLEAR_M, TOO_CLOSE_M = 0.35, 0.10
@@ -70,6 +71,18 @@ def test_the_sample_bag_has_nothing_to_tell():
 
     assert flight.notes == ()
     assert flight.mode == "robust"
+
+
+def test_clearance_of_the_airframe_is_that_of_the_recorded_states_and_vehicle(tmp_path):
+    flight = read_flight(SAMPLE)
+    assert flight.vehicle == Vehicle.paper()
+    # Facing the tower, within 0.2 rad and level within 0.1: the front disc is the nearest.
+    reach = 0.39 + Vehicle.paper().rotor_radius_m
+    below = flight.clearance - flight.airframe_clearance
+    np.testing.assert_allclose(below, reach, atol=0.02)
+    # A bag of odometry alone does not tell what flew.
+    bare = read_flight(flown(tmp_path / "bag", ("/odom", samples())))
+    assert bare.vehicle is bare.airframe_clearance is None
 
 
 @pytest.mark.slow

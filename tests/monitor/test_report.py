@@ -204,6 +204,7 @@ def test_a_bag_with_odometry_only_makes_a_report_too(tmp_path):
 
     text = html.read_text(encoding="utf-8")
     assert Page(text).row("deadline misses")[0] == "not recorded"
+    assert Page(text).row("minimum clearance of the airframe [m]")[0] == "not recorded"
     assert "the bag has no end" in text
     assert all(p.is_file() for p in figures)
 

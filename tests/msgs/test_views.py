@@ -72,6 +72,7 @@ def test_the_drawn_rotors_sit_and_tilt_where_the_vehicle_has_them():
     for disc, rotor in zip(discs, vehicle.rotors, strict=True):
         hub = STATE[:3] + body_to_world() @ rotor.position_m
         assert xyz(disc.pose.position) == pytest.approx(hub)
+        assert (disc.scale.x, disc.scale.y) == (2.0 * vehicle.rotor_radius_m,) * 2
         up = attitude.rotation(disc.pose.orientation) @ (0.0, 0.0, 1.0)
         assert up == pytest.approx(body_to_world() @ rotor.axis)
 

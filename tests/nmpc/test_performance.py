@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gtmr_model import CHANNELS, Tower, Vehicle
-from gtmr_nmpc import Controller
+from gtmr_model import CHANNELS, Tower
+from gtmr_nmpc import Controller, ControllerConfig
 from gtmr_nmpc.online.performance import Performance, standing
 from gtmr_nmpc.solution import Timing
 from gtmr_sim import Scenario
@@ -27,7 +27,7 @@ def near_the_tower(clearance_m, mode="robust"):
     x = START.copy()
     x[0] = SCENARIO.tower.radius_m + clearance_m
     solution = Controller(mode=mode).step(0.0, x)
-    return solution, standing(solution, Tower(), Vehicle.paper())
+    return solution, standing(solution, ControllerConfig())
 
 
 def test_the_margins_of_the_tightest_stage_add_up():

@@ -15,6 +15,7 @@ import pandas as pd
 import pytest
 from support.campaign_runs import without_times
 
+from gtmr_model import Tower, Vehicle, airframe_clearance
 from gtmr_nmpc import Controller
 from gtmr_sim import FlightLog, fly
 from gtmr_study.campaign import trial
@@ -71,6 +72,8 @@ def test_a_row_is_the_flight_of_its_seed(flown):
     assert (row["trial"], row["mode"], row["seed"]) == (1, "robust", scenario.seed)
     assert row["min_clearance_m"] == pytest.approx(log.d_T.min(), abs=1e-6)
     assert row["residual_max_m"] == pytest.approx(0.2 - log.d_T.min(), abs=1e-6)
+    airframe = airframe_clearance(log.x, Vehicle.paper(), Tower())
+    assert row["min_airframe_clearance_m"] == pytest.approx(airframe.min(), abs=1e-6)
 
 
 def test_a_trial_that_raises_is_reported_in_its_row(monkeypatch):
@@ -128,6 +131,7 @@ def test_every_summary_figure_is_recomputed_from_the_csv_by_plain_pandas(flown, 
             "failed_steps": rows["failed_steps"].sum(),
             "violations_any_time": (rows["min_clearance_any_time_m"] < 0.2).sum(),
             "min_clearance_any_time_m": rows["min_clearance_any_time_m"].min(),
+            "min_airframe_clearance_m": rows["min_airframe_clearance_m"].min(),
             "mean_clearance_m": rows["mean_clearance_m"].mean(),
             # These flights are over before they have settled.
             "radial_rms_settled_m": None,

@@ -97,7 +97,7 @@ def test_a_campaign_of_before_is_read_and_tells_what_it_had(flown, tmp_path):
         gone = {key for key in new[mode] if key not in old[mode]}
         assert gone == {
             "violations_any_time", "min_clearance_any_time_m", "mean_clearance_m",
-            "radial_rms_settled_m",
+            "radial_rms_settled_m", "min_airframe_clearance_m",
         }  # fmt: skip
         assert {k: v for k, v in new[mode].items() if k not in gone} == old[mode]
     assert without_times(old)

@@ -25,10 +25,11 @@ def test_fly_writes_what_it_prints(tmp_path):
     assert run.returncode == 0, run.stderr
     log, result = np.load(npz), json.loads(out.read_text())
     named = {"t", "x", "u", "zeta", "w_g", "d_T", "alpha_p", "alpha_g", "slack", "solve_ms"}
-    assert named <= set(log)
+    assert named | {"d_airframe"} <= set(log)
     np.testing.assert_array_equal(log["zeta"], zeta)
     assert len(log["t"]) == result["samples"] == 40
     assert result["min_clearance_m"] == pytest.approx(log["d_T"].min())
+    assert result["min_airframe_clearance_m"] == pytest.approx(log["d_airframe"].min())
     assert f"{result['min_clearance_m']:.3f}" in run.stdout
 
 

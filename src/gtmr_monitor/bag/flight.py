@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gtmr_model import ConfigError, ReferencePath, Tower
+from gtmr_model import ConfigError, ReferencePath, Tower, Vehicle
 from gtmr_model.uncertainty import N_ZETA
 from gtmr_monitor.bag.format import BagError
 from gtmr_monitor.bag.recording import Change, Recorded, Recording
@@ -117,6 +117,7 @@ def flight_of(recording: Recording) -> Flight:
         tower=tower,
         helix=_model(path, ReferencePath, "helix", (nmpc, sim)),
         coverage=recording.coverage,
+        vehicle=_vehicle((sim, nmpc)),
         guarded=_guarded(
             time_of(recording.guard), [item.message.data for item in recording.guard]
         ),
@@ -170,6 +171,17 @@ def _model(path: Path, kind: type[Any], prefix: str, candidates: Iterable[dict[s
             except ConfigError as error:
                 raise BagError(str(error)) from None
     return kind.parse({}, str(path))
+
+
+def _vehicle(candidates: Iterable[dict[str, Any]]) -> Vehicle | None:
+    """Load the vehicle that a node named; None if none did, or its file is not here."""
+    for parameters in candidates:
+        if isinstance(name := parameters.get("vehicle"), str):
+            try:
+                return Vehicle.load("vehicle", name)
+            except ConfigError:
+                return None
+    return None
 
 
 def _margins(t: Array, items: list[Recorded], notes: list[str]) -> MarginHistory:

@@ -103,6 +103,22 @@ def residual(flown: Flown) -> go.Figure:
     return _finish(figure, 440)
 
 
+def clearance(flown: Flown) -> go.Figure:
+    """Draw the clearance of the centre and that of the airframe over time."""
+    figure = make_subplots(1, 1)
+    for flight, line in look.moved(flown):
+        _curve(figure, flight.t, flight.clearance, line.label, _pen(line), ".3f} m")
+    for flight, line, values in look.airframes(flown):
+        pen = _pen(line, dash="dot", width=1.2)
+        _curve(figure, flight.t, values, f"{line.label}, airframe", pen, ".3f} m")
+    figure.add_hline(y=flown[0][0].tower.min_clearance_m, line=_LIMIT)
+    figure.add_hline(y=0.0, line={"color": look.QUIET, "width": 1.0})
+    figure.update_xaxes(title_text="time [s]")
+    figure.update_yaxes(title_text="clearance [m]")
+    figure.update_layout(hovermode="x")
+    return _finish(figure, 380)
+
+
 def margins(flown: Flown) -> go.Figure:
     """Draw the parts of the tightening: at the last stage over time, and over the horizon."""
     tightened = look.tightened(flown)
@@ -208,7 +224,8 @@ def attitude(flown: Flown) -> go.Figure:
 
 
 CHARTS: dict[str, Callable[[Flown], go.Figure]] = {
-    draw.__name__: draw for draw in (trajectory, residual, margins, solve_times, rotors, attitude)
+    draw.__name__: draw
+    for draw in (trajectory, residual, clearance, margins, solve_times, rotors, attitude)
 }
 """The charts of a report by name."""
 

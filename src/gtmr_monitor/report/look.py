@@ -147,6 +147,14 @@ def residual_range(flights: Sequence[Flight]) -> tuple[float, float]:
     return low - 0.05 * span, max(high + 0.05 * span, 0.1 * span)
 
 
+def airframes(flown: Flown) -> list[tuple[Flight, Line, Array]]:
+    """Pick the flights whose airframe is known, each with its clearance [m], shape (n,)."""
+    known = [(flight, line, flight.airframe_clearance) for flight, line in moved(flown)]
+    return [
+        (flight, line, clearance) for flight, line, clearance in known if clearance is not None
+    ]
+
+
 def heights(flown: Flown) -> Array:
     """Say where the drawn tower begins and ends [m], shape (2,)."""
     z = np.concatenate([flight.p[:, 2] for flight, _ in flown])

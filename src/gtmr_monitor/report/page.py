@@ -37,6 +37,12 @@ CAPTIONS = {
         "flight was replayed, dotted lines show what each plan foresaw of the instant at which "
         "it ends.",
     ),
+    "clearance": (
+        "Clearance of centre and airframe",
+        "Distance to the tower's surface: of the vehicle's centre, d<sub>T</sub>, and dotted of "
+        "its airframe, the nearest rotor disc, which is inside the tower below 0. The constraint "
+        "of the paper is on the centre.",
+    ),
     "margins": (
         "Tightening margins",
         "By how much the clearance constraint is tightened, and for which uncertainty: the terms "
@@ -168,6 +174,11 @@ def _quartile(key: Literal["min", "q1", "median", "q3", "max"]) -> Value:
     return lambda flight: signed(flight.residual_statistics["residual_m"][key])
 
 
+def _airframe(flight: Flight) -> str | None:
+    clearance = flight.airframe_clearance
+    return None if clearance is None else signed(float(clearance.min()))
+
+
 def _softened(flight: Flight) -> str | None:
     steps = flight.margins.t.size
     used = int((flight.margins.slack.max(axis=1, initial=0.0) > 1e-6).sum())
@@ -194,6 +205,7 @@ _SUMMARY: tuple[Row, ...] = (
         "minimum clearance [m]",
         lambda f: f"<strong>{f.residual_statistics['min_clearance_m']:.3f}</strong>",
     ),
+    ("minimum clearance of the airframe [m]", _airframe),
     ("clearance violated", _violated),
     ("residual s, maximum [m]", _quartile("max")),
     ("upper quartile [m]", _quartile("q3")),

@@ -99,6 +99,23 @@ def residual(flown: Flown) -> Figure:
     return figure
 
 
+def clearance(flown: Flown) -> Figure:
+    """Draw the clearance of the centre and that of the airframe over time."""
+    figure = new_figure(9.0, 3.6)
+    axes = figure.subplots()
+    for flight, line in look.moved(flown):
+        axes.plot(flight.t, flight.clearance, **_pen(line), label=line.label)
+    for flight, line, values in look.airframes(flown):
+        pen = _pen(line) | {"linestyle": ":", "linewidth": 0.9}
+        axes.plot(flight.t, values, **pen, label=f"{line.label}, airframe")
+    axes.axhline(flown[0][0].tower.min_clearance_m, **_LIMIT)
+    axes.axhline(0.0, color=look.QUIET, linewidth=0.6, zorder=0)
+    axes.set(xlabel="time [s]", ylabel="clearance [m]", title="Clearance of centre and airframe")
+    axes.margins(x=0.0)
+    _legend_below(figure, axes)
+    return figure
+
+
 def margins(flown: Flown) -> Figure:
     """Draw the parts of the tightening: at the last stage over time, and over the horizon."""
     tightened = look.tightened(flown)
@@ -201,7 +218,8 @@ def attitude(flown: Flown) -> Figure:
 
 
 FIGURES: dict[str, Callable[[Flown], Figure]] = {
-    draw.__name__: draw for draw in (trajectory, residual, margins, solve_times, rotors, attitude)
+    draw.__name__: draw
+    for draw in (trajectory, residual, clearance, margins, solve_times, rotors, attitude)
 }
 """The figures of a report by name."""
 

@@ -24,8 +24,8 @@ from gtmr_msgs_py.wire import attitude, stamps
 
 DRAWN_HEIGHT_M = 20.0
 """Height to which tower and shells are drawn; the model's tower has no end [m]."""
-DRAWN_PROPELLER_RADIUS_M = 0.13
-"""Radius of a drawn propeller disc [m]."""
+DRAWN_HUB_RADIUS_M = 0.03
+"""Least radius of a drawn propeller disc [m], for vehicles that do not tell theirs."""
 DRAWN_THRUST_M_PER_N = 0.06
 """Length of a thrust arrow per thrust [m/N]; at hover it is about a propeller's diameter."""
 DRAWN_TEXT_M = 0.2
@@ -139,7 +139,7 @@ def vehicle(vehicle: Vehicle, x: ArrayLike) -> list[Marker]:
         hub = position + body_to_world @ np.asarray(rotor.position_m)
         arms.points += [_point(position), _point(hub)]
         color = CLOCKWISE if rotor.spin == "cw" else COUNTER_CLOCKWISE
-        diameter = 2.0 * DRAWN_PROPELLER_RADIUS_M
+        diameter = 2.0 * max(vehicle.rotor_radius_m, DRAWN_HUB_RADIUS_M)
         disc = _marker("propellers", i, Marker.CYLINDER, color, (diameter, diameter, 0.01))
         up = body_to_world @ rotor.axis
         disc.pose = Pose(position=_point(hub), orientation=_z_to(up))

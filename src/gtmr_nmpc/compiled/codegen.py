@@ -16,7 +16,6 @@ from gtmr_codegen.c_source import c_function
 from gtmr_model import N_ZETA, ConfigError
 from gtmr_model.dynamics import ROTORS
 from gtmr_model.reference import reference_function
-from gtmr_model.tower import clearance_constraint
 from gtmr_nmpc import observer, ocp, sensitivity
 from gtmr_nmpc.config import ControllerConfig
 
@@ -32,8 +31,8 @@ WRITTEN_FLAGS = ("-O3", "-ffp-contract=fast")
 def c_sources(config: ControllerConfig) -> dict[str, str]:
     """All sources of the controller of a problem, by file name.
 
-    They depend on the vehicle's dynamics, the reference's form, T_s and N alone; all else is in
-    ``gtmr_parameters``.
+    They depend on the vehicle, the reference's form, T_s, N and ``clearance_of`` alone; all else
+    is in ``gtmr_parameters``.
     """
     folder = files("gtmr_nmpc.compiled") / "c"
     written = {
@@ -58,8 +57,9 @@ def _model(config: ControllerConfig) -> dict[str, str]:
     disturbed, *same_places = _linearise(config, disturbed=True)
     assert places == same_places
     jacobian, dF_dzeta = places
+    constraint = config.clearance_constraint
     functions = [linearise, disturbed, _bending(config), _adjoint(config)]
-    by_point = [_reference(config), *_clearance(), _motion(config)]
+    by_point = [_reference(config), *_clearance(config), _motion(config)]
     sources = {
         f"{function.name()}.c": (
             f'/* Generated. */\n#include "problem.h"\n\n{c_function(function, "vec")}'
@@ -88,6 +88,9 @@ def _model(config: ControllerConfig) -> dict[str, str]:
 #define BODY {BODY.stop} /* p, eta, v, omega: the states with dynamics of their own */
 #define N_H {ocp.N_H} /* outputs that the cost weighs */
 #define N_ZETA {N_ZETA}
+#define CLEARANCE_LENGTH {constraint.length} /* first states that the clearance is told */
+#define CLEARANCE_STATES {len(constraint.states)} /* those that it depends on */
+#define CLEARANCE_STATE_LIST {", ".join(map(str, constraint.states))}
 #define ROTORS {config.vehicle.n_rotors}
 #define PERIOD_S {config.sampling_time_s!r}
 #define MODEL_LANES_IN {lanes_in}
@@ -99,8 +102,9 @@ def _model(config: ControllerConfig) -> dict[str, str]:
  * lambda' (dF/dx Pi s + dF/dzeta s) in (x, u). */
 {prototypes}
 
-/* One point a call. (t, R, d_min, numbers of the reference) -> r, in the order of h. (p, R, d_min)
- * -> y and J_yx, (p, direction) -> d(J_yx direction)/dp, both horizontal.
+/* One point a call. (t, R, d_min, numbers of the reference) -> r, in the order of h. (x, R,
+ * d_min), x the first states -> y and J_yx, (x, direction) -> d(J_yx direction)/dx, both by the
+ * states of CLEARANCE_STATE_LIST.
  * (x, u, force, torque, dt) -> F without rotors, over dt. */
 {prototypes_by_point}
 
@@ -170,13 +174,18 @@ def _reference(config: ControllerConfig) -> ca.Function:
     return ca.Function("gtmr_model_reference", [t, numbers], [ca.densify(ca.cse(r))])
 
 
-def _clearance() -> list[ca.Function]:
-    """Write y with J_yx, and the curvature, as functions of their own; nonzeros only."""
-    p, sizes, direction = (ca.SX.sym(n, k) for n, k in (("p", 3), ("sizes", 2), ("d", 3)))
-    y, gradient, curvature = clearance_constraint()(p, sizes, direction)
+def _clearance(config: ControllerConfig) -> list[ca.Function]:
+    """Write y with J_yx, and the curvature, as functions of their own; nonzeros of J_yx only."""
+    constraint = config.clearance_constraint
+    x, sizes, direction = (
+        ca.SX.sym(n, k)
+        for n, k in (("x", constraint.length), ("sizes", 2), ("d", constraint.length))
+    )
+    y, gradient, curvature = constraint.function(x, sizes, direction)
+    bent = ca.densify(curvature[list(constraint.states)])
     return [
-        ca.Function("gtmr_model_clearance", [p, sizes], ca.cse([y, gradient])),
-        ca.Function("gtmr_model_curvature", [p, direction], ca.cse([curvature])),
+        ca.Function("gtmr_model_clearance", [x, sizes], ca.cse([y, gradient])),
+        ca.Function("gtmr_model_curvature", [x, direction], ca.cse([bent])),
     ]
 
 

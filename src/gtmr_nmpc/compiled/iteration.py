@@ -242,6 +242,7 @@ def _compiled_part(config: ControllerConfig) -> ControllerConfig:
         helix=config.helix.form,
         horizon=config.horizon,
         sampling_time_s=config.sampling_time_s,
+        clearance_of=config.clearance_of,
     )
 
 

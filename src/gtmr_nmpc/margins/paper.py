@@ -27,7 +27,7 @@ class PaperMargin(Margin):
     def tightening(self, iterate: Iterate) -> Tightening:
         """alpha_p of eq. (12) and alpha_g of eq. (13)."""
         config, stages = iterate.config, len(iterate.x)
-        pi_y = clearance_sensitivity(iterate.x[:, :3], iterate.Pi)
+        pi_y = clearance_sensitivity(iterate.x, iterate.Pi, config.clearance_constraint)
         return Tightening(
             parametric_margin(pi_y, config.uncertainty),
             np.full(stages, config.eps_s_m),

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gtmr_model import N_ZETA, Vehicle
+from gtmr_model.airframe import CENTRE
 from gtmr_model.dynamics import POSITION, ROTORS, discrete_step, symbols
-from gtmr_model.tower import clearance_gradient
 from gtmr_nmpc.margins.margin import Iterate, Margin, Tightening
 from gtmr_nmpc.margins.paper import PaperMargin
 
@@ -60,7 +60,7 @@ def second_order_clearance(iterate: Iterate) -> Array:
         along = np.vstack([pi[i], np.eye(N_ZETA)])
         bent = np.einsum("rab,aj,bk->rjk", hessians[:, :, i], along, along, optimize=True)
         second[i + 1] = np.einsum("rs,sjk->rjk", jacobians[:, i], second[i]) + bent
-    gradient = clearance_gradient(x[:, POSITION])
+    gradient = CENTRE.gradient(x)
     by_position = np.einsum("ip,ipjk->ijk", gradient, second[:, POSITION])
     return by_position + _turning(x[:, POSITION], pi[:, POSITION])
 

@@ -12,8 +12,8 @@ from collections import Counter, deque
 
 import numpy as np
 
-from gtmr_model import Tower, Vehicle
 from gtmr_model.uncertainty import CHANNELS
+from gtmr_nmpc.config import ControllerConfig
 from gtmr_nmpc.solution import Solution
 
 ACTIVE_M = 1e-3
@@ -22,7 +22,7 @@ ACTIVE_SHARE = 0.999
 """An input beyond this share of its limit counts as active [-]."""
 
 
-def standing(solution: Solution, tower: Tower, vehicle: Vehicle) -> dict[str, float | int]:
+def standing(solution: Solution, config: ControllerConfig) -> dict[str, float | int]:
     """Say where a plan stands against its constraints.
 
     How many stages and inputs are at their limits, the largest slack [m]; at the tightest stage,
@@ -30,9 +30,10 @@ def standing(solution: Solution, tower: Tower, vehicle: Vehicle) -> dict[str, fl
     by channel [m].
     """
     alpha = solution.alpha_p + solution.alpha_g
-    tightened = tower.residual(solution.x_plan) + alpha
+    y = config.clearance_constraint.residual(solution.x_plan, config.tower)
+    tightened = y + alpha
     tightest = int(tightened.argmax())
-    inputs = np.abs(solution.u_plan) / vehicle.max_rotor_acceleration_hz_s
+    inputs = np.abs(solution.u_plan) / config.vehicle.max_rotor_acceleration_hz_s
     terms = zip(CHANNELS, solution.alpha_p_by_channel[tightest], strict=True)
     return {
         "active_clearance_stages": int((tightened[1:] > -ACTIVE_M).sum()),

@@ -88,7 +88,8 @@ class InterpretedIteration:
             status = "softened" if slack.max() > SLACK_TOLERANCE_M else "solved"
         tightening = self._preparation.margins
         # Stage 0 is measured, not planned: its violation is a fact and no variable of the QP.
-        now = self._config.tower.residual(x) + tightening.total[:1]
+        y = self._config.clearance_constraint.residual(x[None], self._config.tower)
+        now = y + tightening.total[:1]
         return IterationResult(
             x_plan=self._last.x,
             u_plan=self._last.u,

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gtmr_model.dynamics import POSITION, ROTORS
-from gtmr_model.tower import clearance_curvature, clearance_gradient
 from gtmr_model.uncertainty import N_ZETA
 from gtmr_nmpc import ocp, sensitivity
 from gtmr_nmpc.config import ControllerConfig, Mode
@@ -172,7 +171,10 @@ class RealTimeIteration:
         hessian = 2.0 * (j_u.T @ j_u)
         hessian[np.diag_indices_from(hessian)] += 2.0 * q_u
 
-        gradient_y = clearance_gradient(iterate.x[:, POSITION])
+        constraint = self.config.clearance_constraint
+        # By position alone, the attitude being the iterate's: with the attitude's part too, a wind
+        # that never ends makes the vehicle tip over to keep its discs away.
+        gradient_y = constraint.gradient(iterate.x)[:, POSITION]
         rows = np.einsum("ij,ijk->ik", gradient_y, dx_du[:, POSITION])
         rows_dx0 = np.einsum("ij,ijk->ik", gradient_y, dx_dx0[:, POSITION])
         offset = np.einsum("ij,ij->i", gradient_y, defect[:, POSITION])
@@ -189,7 +191,7 @@ class RealTimeIteration:
                 offset += d_x_flat @ defect.ravel()
         else:
             tightening = Tightening.constant(np.zeros(n + 1))
-        tightened = self.config.tower.residual(iterate.x) + tightening.total
+        tightened = constraint.residual(iterate.x, self.config.tower) + tightening.total
         return Preparation(
             iterate=iterate,
             margins=tightening,
@@ -243,8 +245,9 @@ class RealTimeIteration:
     def _margin_gradient(self, iterate: Trajectory, a: Array, pi: Array) -> tuple[Array, Array]:
         """Differentiate alpha_p,i = J_yx(x_i) Pi_i s_i with the signs s_i held."""
         n, n_x, n_u = self.config.horizon, self.config.vehicle.n_x, self.config.vehicle.n_rotors
-        gradient_y = clearance_gradient(iterate.x[:, POSITION])
-        pi_y = sensitivity.clearance_sensitivity(iterate.x[:, POSITION], pi)
+        constraint = self.config.clearance_constraint
+        gradient_y, states = constraint.gradient(iterate.x), slice(constraint.length)
+        pi_y = sensitivity.clearance_sensitivity(iterate.x, pi, constraint)
         signs = worst_vertex(pi_y, self.config.uncertainty)
         margin, step = np.tril_indices(n)
         margin = margin + 1
@@ -253,7 +256,7 @@ class RealTimeIteration:
         back = np.zeros((n + 1, n_x))
         for k in range(n - 1, -1, -1):
             back = back @ a[k + 1] if k + 1 < n else back
-            back[k + 1, POSITION] = gradient_y[k + 1]
+            back[k + 1, states] = gradient_y[k + 1]
             lam[:, k] = back
         direction = np.einsum("kxj,ij->ikx", pi, signs)
         (gradient,) = self._adjoint(
@@ -267,9 +270,7 @@ class RealTimeIteration:
         d_x[margin, step] = gradient[:, :n_x]
         d_u[margin, step] = gradient[:, n_x:]
         stages = np.arange(n + 1)
-        d_x[stages, stages, POSITION] += clearance_curvature(
-            iterate.x[:, POSITION], direction[stages, stages, POSITION]
-        )
+        d_x[stages, stages, states] += constraint.curvature(iterate.x, direction[stages, stages])
         return d_x, d_u
 
 

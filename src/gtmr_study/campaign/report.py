@@ -96,6 +96,11 @@ def _solve(key: str) -> Value:
     return lambda s: f"{s['solve_ms'][key]:.2f}"
 
 
+def _airframe(summary: dict[str, Any]) -> str:
+    least_m = summary.get("min_airframe_clearance_m")
+    return "not recorded" if least_m is None else signed(least_m)
+
+
 _ROWS: tuple[tuple[str, Value], ...] = (
     ("trials with a violation", lambda s: f"<strong>{s['violations']}</strong> of {s['trials']}"),
     (
@@ -103,6 +108,7 @@ _ROWS: tuple[tuple[str, Value], ...] = (
         lambda s: " to ".join(f"{100 * bound:.1f}" for bound in s["violation_rate_95"]) + " %",
     ),
     ("least clearance [m]", lambda s: f"<strong>{s['min_clearance_m']:.3f}</strong>"),
+    ("least clearance of the airframe [m]", _airframe),
     ("median clearance [m]", lambda s: f"{s['median_clearance_m']:.3f}"),
     ("residual s, maximum [m]", _residual("max")),
     ("upper quartile [m]", _residual("q3")),

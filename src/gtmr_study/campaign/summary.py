@@ -40,7 +40,8 @@ def summarise(trials: pd.DataFrame) -> dict[str, dict[str, Any]]:
     median, the root mean square of d_T - d_ref over all instants, and solve times (mean over all
     steps; medians over the trials of a trial's median and 99th percentile). Of every plant step
     are ``violations_any_time`` and ``min_clearance_any_time_m``, of the time after the start
-    ``radial_rms_settled_m``; a campaign of before tells none of these, nor ``mean_clearance_m``.
+    ``radial_rms_settled_m``; a campaign of before tells none of these, nor ``mean_clearance_m``,
+    nor ``min_airframe_clearance_m``, the least clearance of a rotor disc.
     """
     return {
         mode: _summary(trials[trials["mode"] == mode])
@@ -93,6 +94,7 @@ def _any_time(flown: pd.DataFrame) -> dict[str, Any]:
         "min_clearance_any_time_m": float(flown["min_clearance_any_time_m"].min()),
         "mean_clearance_m": float(flown["mean_clearance_m"].mean()),
         # No flight may be long enough.
+        "min_airframe_clearance_m": float(flown["min_airframe_clearance_m"].min()),
         "radial_rms_settled_m": (None if settled.isna().all() else math.sqrt((settled**2).mean())),
     }
 

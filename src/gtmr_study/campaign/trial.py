@@ -34,9 +34,11 @@ ADDED_COLUMNS = (
     "violated_any_time",
     "mean_clearance_m",
     "radial_rms_settled_m",
+    "min_airframe_clearance_m",
 )
 """Columns that campaigns of before do not have: of every plant step instead of every sampling
-time, and of d_T - d_ref from `SETTLED_S` on, empty for flights that end before."""
+time, of d_T - d_ref from `SETTLED_S` on, empty for flights that end before, and of the airframe,
+the nearest rotor disc."""
 COLUMNS = (
     "trial",
     "mode",
@@ -129,6 +131,7 @@ def _figures(log: FlightLog, scenario: Scenario) -> Row:
         "violated_any_time": log.least_clearance_m < tower.min_clearance_m,
         "mean_clearance_m": round(float(log.d_T.mean()), 6),
         "radial_rms_settled_m": round(_rms(settled), 6) if settled.size else None,
+        "min_airframe_clearance_m": round(float(log.d_airframe.min()), 6),
     }
 
 

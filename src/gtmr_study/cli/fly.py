@@ -136,6 +136,7 @@ def fly_command(
         "world": world or "paper",
         "zeta": list(scenario.zeta),
         **residual_statistics(d_min - log.d_T, d_min),
+        "min_airframe_clearance_m": float(log.d_airframe.min()),
         "solve_ms": solve_statistics(log.solve_ms),
         "failed_steps": log.failed_steps,
         "max_slack_m": log.max_slack_m,

@@ -55,7 +55,7 @@ static void advance_body(const gtmr_controller *c, int stage, response of)
     }
 }
 
-/* Row of the clearance one stage on, with the margin held. */
+/* Row of the clearance one stage on, by its position, with attitude and margin held. */
 static void clearance_row(gtmr_controller *c, int stage, response of)
 {
     double *row = c->rows[row_of(stage, CLEARANCE)];

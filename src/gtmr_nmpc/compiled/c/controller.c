@@ -181,7 +181,7 @@ static int inequalities(gtmr_controller *c, const double *x)
 static double measured_slack(const gtmr_controller *c, const double *x)
 {
     const clearance *now = &c->clearances[0];
-    double constraint[3];
+    double constraint[1 + CLEARANCE_STATES];
     gtmr_clearance_at(&c->parameters, x, constraint);
     const double residual = constraint[0] + now->alpha_p + now->alpha_g;
     return residual > 0.0 ? residual : 0.0;

@@ -34,11 +34,23 @@ static double sign(double a)
     return (double)((a > 0.0) - (a < 0.0));
 }
 
-void gtmr_clearance_at(const gtmr_parameters *parameters, const double *p, double *constraint)
+void gtmr_clearance_at(const gtmr_parameters *parameters, const double *x, double *constraint)
 {
-    const double at[5] = {p[0], p[1], p[2], parameters->tower_radius_m,
-                          parameters->min_clearance_m};
+    double at[CLEARANCE_LENGTH + 2];
+    memcpy(at, x, CLEARANCE_LENGTH * sizeof(double));
+    at[CLEARANCE_LENGTH] = parameters->tower_radius_m;
+    at[CLEARANCE_LENGTH + 1] = parameters->min_clearance_m;
     gtmr_model_clearance(at, constraint);
+}
+
+/* J_yx times column j of a matrix of as many rows as the body has states. */
+static double by_gradient(const clearance *y, const double *matrix, int row_length, int j)
+{
+    double total = 0.0;
+    for (int k = CLEARANCE_STATES - 1; k >= 0; --k) {
+        total += y->gradient[k] * matrix[CLEARANCE_STATE[k] * row_length + j];
+    }
+    return total;
 }
 
 void gtmr_clearance_along_iterate(gtmr_controller *c)
@@ -49,16 +61,13 @@ void gtmr_clearance_along_iterate(gtmr_controller *c)
     }
     for (int i = 0; i <= STAGES; ++i) {
         clearance *y = &c->clearances[i];
-        double constraint[3];
+        double constraint[1 + CLEARANCE_STATES];
         gtmr_clearance_at(given, c->x[i], constraint);
         memcpy(y->gradient, constraint + 1, sizeof y->gradient);
         y->alpha_p = c->margin_scale * given->eps_s_m;
         y->alpha_g = c->margin_scale * given->gust_m * i * i;
         for (int j = 0; j < N_ZETA; ++j) {
-            double Pi_y = 0.0;
-            if (is_robust(c)) {
-                Pi_y = y->gradient[0] * c->Pi[i][0][j] + y->gradient[1] * c->Pi[i][1][j];
-            }
+            const double Pi_y = is_robust(c) ? by_gradient(y, c->Pi[i][0], LD_ZETA, j) : 0.0;
             const double width = given->half_widths[j];
             const double counts = fabs(Pi_y) * width > ZERO_MARGIN;
             y->signs[j] = counts * c->margin_scale * sign(Pi_y) * width;
@@ -84,7 +93,7 @@ void gtmr_tighten(gtmr_controller *c, const double *alpha)
 {
     for (int i = 0; i <= STAGES; ++i) {
         clearance *y = &c->clearances[i];
-        double constraint[3];
+        double constraint[1 + CLEARANCE_STATES];
         gtmr_clearance_at(&c->parameters, c->x[i], constraint);
         memset(y->by_channel, 0, sizeof y->by_channel);
         y->alpha_p = alpha[i];
@@ -105,10 +114,12 @@ static void worst_direction(const gtmr_controller *c, int stage, const double *s
     }
 }
 
-/* d(J_yx direction)/dp: the clearance's gradient turns as the vehicle goes around the tower. */
+/* d(J_yx direction)/dx: the clearance's gradient turns as the vehicle goes around the tower. */
 static void curvature(const double *x, const double *direction, double *of)
 {
-    const double at[6] = {x[0], x[1], x[2], direction[0], direction[1], direction[2]};
+    double at[2 * CLEARANCE_LENGTH];
+    memcpy(at, x, CLEARANCE_LENGTH * sizeof(double));
+    memcpy(at + CLEARANCE_LENGTH, direction, CLEARANCE_LENGTH * sizeof(double));
     gtmr_model_curvature(at, of);
 }
 
@@ -161,7 +172,7 @@ static void change_with_signs(gtmr_controller *c, int like, int last, double *ch
     bending(c, signs, last, bent);
     for (int i = 1; i <= last; ++i) {
         const clearance *y = &c->clearances[i];
-        double next[LD_XU] = {0.0}, direction[BODY], turn[2];
+        double next[LD_XU] = {0.0}, direction[BODY], turn[CLEARANCE_STATES];
         for (int r = 0; r < BODY; ++r) {
             next[r] = bent[i - 1][r] + dot(c->intervals[i - 1].jacobian[r], turned, LD_XU);
         }
@@ -169,8 +180,10 @@ static void change_with_signs(gtmr_controller *c, int like, int last, double *ch
         if (memcmp(y->signs, signs, sizeof y->signs) == 0) {
             worst_direction(c, i, signs, direction);
             curvature(c->x[i], direction, turn);
-            change[i] = y->gradient[0] * turned[0] + y->gradient[1] * turned[1] +
-                        turn[0] * c->step[i][0] + turn[1] * c->step[i][1];
+            change[i] = by_gradient(y, turned, 1, 0);
+            for (int k = 0; k < CLEARANCE_STATES; ++k) {
+                change[i] += turn[k] * c->step[i][CLEARANCE_STATE[k]];
+            }
         }
     }
 }
@@ -197,7 +210,9 @@ void gtmr_margin_change_along_step(gtmr_controller *c, double *change)
 static void costates(const gtmr_controller *c, int stage, double lambda[][LD_XU])
 {
     memset(lambda[stage - 1], 0, sizeof lambda[0]);
-    memcpy(lambda[stage - 1], c->clearances[stage].gradient, 2 * sizeof(double));
+    for (int k = 0; k < CLEARANCE_STATES; ++k) {
+        lambda[stage - 1][CLEARANCE_STATE[k]] = c->clearances[stage].gradient[k];
+    }
     for (int k = stage - 2; k >= 0; --k) {
         memset(lambda[k], 0, sizeof lambda[0]);
         const coefficients later = {lambda[k + 1], 0, 1};
@@ -229,5 +244,9 @@ void gtmr_margin_gradient(gtmr_controller *c, int stage, double d_x[][N_X], doub
     }
     memset(d_x[stage], 0, sizeof d_x[stage]);
     worst_direction(c, stage, y->signs, direction);
-    curvature(c->x[stage], direction, d_x[stage]);
+    double turn[CLEARANCE_STATES];
+    curvature(c->x[stage], direction, turn);
+    for (int k = 0; k < CLEARANCE_STATES; ++k) {
+        d_x[stage][CLEARANCE_STATE[k]] = turn[k];
+    }
 }

@@ -47,7 +47,7 @@ typedef struct {
 
 /* The clearance constraint at a stage. */
 typedef struct {
-    double gradient[2]; /* of y with respect to x and y of the position, J_yx */
+    double gradient[CLEARANCE_STATES]; /* J_yx: of y in p_x, p_y, then in the others */
     double residual;    /* y + alpha along the iterate [m] */
     double alpha_p;
     double alpha_g;
@@ -132,8 +132,11 @@ void gtmr_put_disturbance(gtmr_controller *c, int stage, int which);
 
 /* margins.c */
 
-/* y and J_yx at a position. */
-void gtmr_clearance_at(const gtmr_parameters *parameters, const double *p, double *constraint);
+/* In which states J_yx has its entries. */
+static const int CLEARANCE_STATE[CLEARANCE_STATES] = {CLEARANCE_STATE_LIST};
+
+/* y and J_yx at a state. */
+void gtmr_clearance_at(const gtmr_parameters *parameters, const double *x, double *constraint);
 void gtmr_clearance_along_iterate(gtmr_controller *c);
 void gtmr_margin_change_along_step(gtmr_controller *c, double *change);
 void gtmr_margin_gradient(gtmr_controller *c, int stage, double d_x[][N_X], double d_u[][N_U]);
