@@ -225,7 +225,7 @@ def test_the_compiled_plant_is_the_interpreted_one_bit_by_bit():
     compiled = plant._compiled(step)
     for _ in range(20):
         u, zeta, w_g = rng.normal(0, 300, 6), rng.normal(0, 0.1, 9), rng.normal(0, 0.3, 3)
-        expected = np.concatenate((x, u, zeta, w_g))
+        expected = np.concatenate((x, u, zeta, w_g, [np.inf]))
         memory = expected.copy()
         plant._interpreted(step, expected, 25)
         compiled(memory, 25)
