@@ -69,7 +69,7 @@ setup(
         # The command line: flights, campaigns, reports.
         "study": ["dask", "distributed", "matplotlib", "pandas", "plotly", "rich", "typer"],
         "live": ["viser"],
-        "calibrate": ["optuna"],
+        "calibrate": ["cmaes>=0.11", "optuna"],
         "test": ["hypothesis", "pytest", "pytest-xdist"],
         "dev": [
             "colcon-bash",

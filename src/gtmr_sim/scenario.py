@@ -109,6 +109,8 @@ class Scenario(YamlModel):
     """What is flown around."""
     helix: SerializeAsAny[ReferencePath] = Helix()
     """Where the flight starts: on the reference, at its velocity."""
+    start_offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """From there, world frame [m]."""
     uncertainty: UncertaintySet = UncertaintySet()
     """Bounds on ``zeta`` and on the gusts."""
     zeta: Annotated[tuple[float, ...], Field(min_length=9, max_length=9)] = (0.0,) * 9

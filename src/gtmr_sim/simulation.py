@@ -90,6 +90,7 @@ class Simulation:
         """Go back to the start of the same flight."""
         scenario = self.scenario
         start = scenario.helix.initial_state(scenario.tower, scenario.vehicle)
+        start[POSITION] += scenario.start_offset_m
         effects = tuple(EFFECTS[name] for name in scenario.effects)
         self.plant = Plant(
             scenario.vehicle,

@@ -28,6 +28,7 @@ MODULES = {
     "campaign": "campaigns.campaign",
     "reproduce": "campaigns.campaign",
     "calibrate": "campaigns.campaign",
+    "attack": "campaigns.attack",
     "faults": "campaigns.faults",
     "replay": "replay",
     "play": "replay",

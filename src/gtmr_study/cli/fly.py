@@ -67,11 +67,30 @@ def fly_command(
     d_ref: DRefOption = None,
     vehicle: VehicleOption = None,
     controller: Annotated[str | None, CONTROLLER_OR_OWN] = None,
+    scenario: Annotated[
+        Path | None, option("FILE.yaml", "A flight that gtmr attack found; it says all else.")
+    ] = None,
     out: Annotated[Path | None, option("FILE.npz", "Write the flight, row by row.")] = None,
     json: JsonOption = None,
 ) -> None:
     """Fly one closed loop in this process, without ROS."""
     require_duration(duration)
+    if out is not None and out.suffix != ".npz":
+        raise InputError(f"--out = {out}: expected a name that ends in .npz")
+    require_new_file("--out", out)
+    require_folder_of("--json", json)
+    if scenario is not None:
+        others = (mode, zeta, world, d_ref, vehicle, controller, sample or None)
+        if any(other is not None for other in others):
+            raise InputError(f"--scenario = {scenario}: says it all; leave out the rest")
+        from gtmr_study.attack.space import AttackFlight
+
+        again = AttackFlight.from_yaml(scenario)
+        pilot, named = Controller(again.controller, again.mode), str(scenario)
+        period_s = again.controller.sampling_time_s
+        duration = again.duration_s
+        _fly_and_tell(again.scenario, pilot, again.mode, duration, period_s, named, out, json)
+        return
     own = None if controller is None else OwnController.named("--controller", controller)
     if own is not None and mode is not None:
         raise InputError(f"--mode = {mode}: {own.name} has no modes; leave it out")
@@ -80,10 +99,6 @@ def fly_command(
     require_choice("--gust", gust, GUSTS.names())
     if zeta is not None and sample:
         raise InputError("--zeta and --sample: give one of them")
-    if out is not None and out.suffix != ".npz":
-        raise InputError(f"--out = {out}: expected a name that ends in .npz")
-    require_new_file("--out", out)
-    require_folder_of("--json", json)
 
     met = World.load("world", world or "paper")
     told = controller if controller is not None and own is None else controller_for(met)
@@ -91,7 +106,7 @@ def fly_command(
     if vehicle is not None:
         config = config.model_copy(update={"vehicle": Vehicle.load("vehicle", vehicle)})
     sequence = worst_gusts(config, own.name if own else mode) if gust == "l1" else None
-    scenario = Scenario.parse(
+    met_there = Scenario.parse(
         {
             "vehicle": config.vehicle,
             "tower": config.tower,
@@ -105,24 +120,38 @@ def fly_command(
         "flight",
     )
     if sample:
-        scenario = scenario.sampled()
+        met_there = met_there.sampled()
 
     flown: StepController
     if own is None:
         flown = Controller(config, mode)  # type: ignore[arg-type]
     else:
         flown, mode = own.make(config), own.name
-    steps = round(duration / config.sampling_time_s)
+    try:
+        named, period_s = world or "paper", config.sampling_time_s
+        _fly_and_tell(met_there, flown, mode, duration, period_s, named, out, json)
+    except FlightError as error:
+        raise InputError(f"--controller = {controller or told}: {error}") from None
+
+
+def _fly_and_tell(
+    scenario: Scenario,
+    flown: StepController,
+    mode: str,
+    duration: float,
+    period_s: float,
+    world: str,
+    out: Path | None,
+    json: Path | None,
+) -> None:
+    """Fly, and tell and write what came of it."""
     with progress() as bar:
-        task = bar.add_task(f"{mode}, {duration:g} s", total=steps)
+        task = bar.add_task(f"{mode}, {duration:g} s", total=round(duration / period_s))
 
         def show(step: int) -> None:
             bar.update(task, completed=step)
 
-        try:
-            log = fly(scenario, flown, duration, config.sampling_time_s, show)
-        except FlightError as error:
-            raise InputError(f"--controller = {controller or told}: {error}") from None
+        log = fly(scenario, flown, duration, period_s, show)
     if out is not None:
         content = io.BytesIO()
         log.save(content)
@@ -130,10 +159,10 @@ def fly_command(
     d_min = scenario.tower.min_clearance_m
     result: dict[str, Any] = {
         "mode": mode,
-        "seed": seed,
+        "seed": scenario.seed,
         "duration_s": duration,
-        "gust": gust,
-        "world": world or "paper",
+        "gust": scenario.gust.kind,
+        "world": world,
         "zeta": list(scenario.zeta),
         **residual_statistics(d_min - log.d_T, d_min),
         "min_airframe_clearance_m": float(log.d_airframe.min()),

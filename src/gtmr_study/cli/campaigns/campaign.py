@@ -109,7 +109,7 @@ def campaign_command(
     from gtmr_study.campaign.figures import Campaign, why_no_channels, write_figures
     from gtmr_study.campaign.run import fly_campaign
 
-    with _reported_progress() as show:
+    with reported_progress() as show:
         summary = fly_campaign(study, out, workers, scheduler, partial(show, "flights"), own)
         write_figures(out)
     print_summary(summary)
@@ -145,7 +145,7 @@ def reproduce_command(
     if scenario != PAPER_SCENARIO:
         command += f" --scenario {scenario}"
     effort = QUICK if quick else FULL
-    with _reported_progress() as show:
+    with reported_progress() as show:
         results = reproduce(study, effort, out, workers, scheduler, show, command)
     print_summary(results["summary"])
     near = results["distance"]
@@ -187,7 +187,7 @@ def calibrate_command(
         raise InputError(f"--target = {target!r}: allowed is {', '.join(TARGETS)}")
     study = with_options(Study(), trials=trials, seed=seed, duration_s=duration)
     number = sets if sets is not None else SETS[target]
-    with _reported_progress() as show:
+    with reported_progress() as show:
         result = calibrate(study, target, number, out, workers, partial(show, "sets"))
     for name, value in result["parameters"].items():
         console.print(f"{name}: {value:.4g}")
@@ -243,7 +243,7 @@ def _require_one(workers: int | None, scheduler: str | None) -> None:
 
 
 @contextmanager
-def _reported_progress() -> Iterator[Callable[[str, int, int], None]]:
+def reported_progress() -> Iterator[Callable[[str, int, int], None]]:
     """Show one progress bar for each thing done; a full disk ends the command with code 1."""
     bars: dict[str, TaskID] = {}
     try:
