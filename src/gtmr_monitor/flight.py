@@ -75,7 +75,7 @@ class Flight:
     source: Path
     """The bag."""
     t: Array
-    """Times of the odometry [s], shape (n,)."""
+    """Times of position and attitude [s], shape (n,)."""
     p: Array
     """Position, world ENU [m], shape (n, 3)."""
     eta: Array
@@ -104,6 +104,9 @@ class Flight:
     """What of the flight is recorded."""
     vehicle: Vehicle | None = None
     """What was flown; None if that was not recorded, or is not known here."""
+    clearance_from: str = "odom"
+    """What position and attitude are of: ``ground_truth``, or ``odom`` where that was not
+    recorded."""
     guarded: tuple[tuple[float, float], ...] | None = None
     """From when to when [s] the guard was in charge, in order; None if that was not recorded."""
     zeta: tuple[float, ...] | None = None

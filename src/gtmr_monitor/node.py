@@ -102,6 +102,9 @@ class WatchedVehicle:
         self.drops = Drops(lambda reason: node.warn(f"{self.odometry_name}: {reason}"))
         """Its odometry that could not be used."""
         self.odometry_name = node.resolve_topic_name(self.topic(topics.ODOM).name)
+        self.truth_name = node.resolve_topic_name(self.topic(topics.GROUND_TRUTH).name)
+        self.knows_truth = False
+        """Whether somebody publishes the true state, from which the clearance is taken then."""
         self.clearance = self.topic(topics.CLEARANCE).publisher(node)
         self.residual = self.topic(topics.CLEARANCE_RESIDUAL).publisher(node)
         self.order = StampOrder()
@@ -145,7 +148,9 @@ class WatchedVehicle:
 
 
 class MonitorNode(SuiteNode):
-    """Publishes clearance and residual for every odometry message, and records every topic.
+    """Publishes clearance and residual for every true state, and records every topic.
+
+    Where nobody publishes the true state, as on an aircraft, it takes the odometry.
 
     If it is ``managed``, lifecycle services say when it watches. Raises ConfigError if a parameter
     cannot be used.
@@ -182,6 +187,8 @@ class MonitorNode(SuiteNode):
                 self, vehicle.odometry_name, partial(self._diagnose_vehicle, vehicle)
             )
             listen(self, vehicle.topic(topics.ODOM), partial(self._on_odometry, vehicle))
+            truth = vehicle.topic(topics.GROUND_TRUTH)
+            listen(self, truth, partial(self._on_ground_truth, vehicle))
         listen(self, PARAMETER_EVENTS, self._on_parameter_event)
         self._fetches = [
             ParameterFetch(self, name, self._take_parameters)
@@ -232,7 +239,12 @@ class MonitorNode(SuiteNode):
     def _record_everything(self) -> None:
         written_otherwise = {PARAMETER_EVENTS.name}
         for v in self._vehicles:
-            own = (v.odometry_name, v.clearance.topic_name, v.residual.topic_name)
+            own = (
+                v.odometry_name,
+                v.truth_name,
+                v.clearance.topic_name,
+                v.residual.topic_name,
+            )
             written_otherwise.update(own)
         for name, topic in self._topics().items():
             if name not in written_otherwise:
@@ -264,12 +276,31 @@ class MonitorNode(SuiteNode):
         self._recording.write(vehicle.odometry_name, data, came_ns, info["source_timestamp"])
         if vehicle.silence is not None:
             vehicle.silence.heard()
-        try:
+        if not vehicle.knows_truth:
+            vehicle.knows_truth = self.count_publishers(vehicle.truth_name) > 0
+        if not vehicle.knows_truth:
             self._watch(vehicle, data, came_ns)
+            return
+        # Not needed, but one that cannot be used is told of all the same.
+        try:
+            odometry.unpack(data, self._settings.value.frames)
         except MessageError as error:
             vehicle.drops.add(error)
 
+    def _on_ground_truth(self, vehicle: WatchedVehicle, data: bytes, info: Info) -> None:
+        came_ns = received_ns(info)
+        self._numbers.take(vehicle.truth_name, self._number(vehicle.truth_name, info))
+        self._recording.write(vehicle.truth_name, data, came_ns, info["source_timestamp"])
+        vehicle.knows_truth = True
+        self._watch(vehicle, data, came_ns)
+
     def _watch(self, vehicle: WatchedVehicle, data: bytes, came_ns: int) -> None:
+        try:
+            self._take(vehicle, data, came_ns)
+        except MessageError as error:
+            vehicle.drops.add(error)
+
+    def _take(self, vehicle: WatchedVehicle, data: bytes, came_ns: int) -> None:
         settings = self._settings.value
         tower = settings.tower
         stamp_ns, x = odometry.unpack(data, settings.frames)
@@ -347,6 +378,7 @@ class MonitorNode(SuiteNode):
                 self.get_logger().warning(f"the nodes differ: {disagreement}")
         values: dict[str, diagnostics.Value] = {
             "min_clearance_m": tower.min_clearance_m,
+            "clearance_from": "ground_truth" if vehicle.knows_truth else "odom",
             "violations": watch.violations,
             "samples": watch.samples,
             "late_odometry": vehicle.late,

@@ -65,7 +65,15 @@ ODOM = TopicName(
     "nav_msgs/msg/Odometry",
     ("sim",),
     ("nmpc", "monitor"),
-    "Pose of `base_link` (FLU) in `map` (ENU) [m]; twist in `base_link` [m/s, rad/s]",
+    "Pose of `base_link` (FLU) in `map` (ENU) [m], as measured; twist in `base_link` [m/s, rad/s]",
+)
+GROUND_TRUTH = TopicName(
+    "ground_truth",
+    "nav_msgs/msg/Odometry",
+    ("sim",),
+    ("monitor",),
+    "The true state, in the frames of `odom`, which may be a noisy and late measurement of it; "
+    "clearance is taken from it",
 )
 ROTOR_STATES = TopicName(
     "rotor_states",
@@ -79,8 +87,9 @@ ROTOR_COMMAND = TopicName(
     "trajectory_msgs/msg/JointTrajectory",
     ("nmpc",),
     ("sim", "monitor"),
-    "The whole plan: point i, at i T_s after the stamp of its odometry, has `velocities` [rad/s] "
-    "and `accelerations` [rad/s^2]; point N holds the speed",
+    "The whole plan: point i, at i T_s after the stamp, has `velocities`, speed setpoints "
+    "[rad/s], and `accelerations` [rad/s^2]; point N holds the speed. The stamp is that of the "
+    "odometry plus the controller's `delay_s`",
 )
 GUARD = TopicName(
     "guard",

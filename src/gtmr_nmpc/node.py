@@ -22,7 +22,7 @@ from rclpy.clock_type import ClockType
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
-from gtmr_model.dynamics import ATTITUDE, POSITION, ROTORS
+from gtmr_model.dynamics import ATTITUDE, POSITION
 from gtmr_msgs_py import topics
 from gtmr_msgs_py.messages import (
     markers,
@@ -77,8 +77,9 @@ class NmpcParameters(ControllerConfig, FrameParameters):
     """By how much the stamps of odometry and rotor states that are taken together may differ [s];
     the simulator gives both the same."""
     max_delay_s: float = Field(0.03, ge=0.0, le=10.0)
-    """Oldest odometry that is acted upon, by the clock that its stamps are of [s]; of an older one
-    no command is sent, and past the last plan the guard takes charge."""
+    """How much older than ``delay_s`` odometry may be that is acted upon, by the clock that its
+    stamps are of [s]; of an older one no command is sent, and past the last plan the guard takes
+    charge."""
     recorders: int = Field(0, ge=0, le=10)
     """How many recorders, such as the monitor, must listen before the first step."""
 
@@ -180,7 +181,16 @@ class NmpcNode(SuiteNode):
             self.get_logger().info(f"{parameters.mode} mode")
         self._controller.reconfigure(parameters)
         # What was prepared is of no use any more; now it costs no time in the next step.
-        self._controller.prepare(stamps.seconds(self._schedule.next_ns))
+        self._controller.prepare(self._acting(self._schedule.next_ns))
+
+    def _acting(self, stamp_ns: int) -> float:
+        """Time from which a command acts that is made from a state's stamp [s]."""
+        return stamps.seconds(stamp_ns + stamps.nanoseconds(self._settings.value.delay_s))
+
+    @property
+    def _longest_delay_s(self) -> float:
+        """Oldest odometry that is acted upon [s]."""
+        return self._settings.value.delay_s + self._settings.value.max_delay_s
 
     def _on_clock(self, data: bytes) -> None:
         stamp_ns = stamp_of(data)
@@ -212,7 +222,7 @@ class NmpcNode(SuiteNode):
             return
         stamp_ns, x = state
         delay_s = self._measured_delay_s(stamp_ns)
-        if delay_s > self._settings.value.max_delay_s:
+        if delay_s > self._longest_delay_s:
             self._withhold(f"odometry is {delay_s:.3g} s late")
             return
         due, self._begins_again = self._schedule.admit(stamp_ns, self._begins_again), False
@@ -224,11 +234,12 @@ class NmpcNode(SuiteNode):
             return
         if due is Due.RESTART:
             self._controller.reset()
-        solution = self._controller.step(stamps.seconds(self._schedule.time_ns), x)
+        t = stamps.seconds(self._schedule.time_ns)
+        solution = self._controller.step(t, x, now=self._acting(self._schedule.time_ns))
         self._send(stamp_ns, x, solution)
         self._performance.add(solution, time.perf_counter() - self._arrival)
         self._publish_step(stamp_ns, solution)
-        self._controller.prepare(stamps.seconds(self._schedule.next_ns))
+        self._controller.prepare(self._acting(self._schedule.next_ns))
         if due is Due.RESTART:
             self.tell_parameters()
         self._publish_scene(stamp_ns, solution)
@@ -241,7 +252,10 @@ class NmpcNode(SuiteNode):
             self._withhold(reason)
             return
         self._last_command = rotor_command.pack(
-            stamp_ns, self._schedule.period_ns, solution.x_plan[:, ROTORS], solution.u_plan
+            stamp_ns + stamps.nanoseconds(self._settings.value.delay_s),
+            self._schedule.period_ns,
+            solution.setpoints_hz,
+            solution.u_plan,
         )
         self._rotor_command.publish(self._last_command)
         if self._withheld:
@@ -261,7 +275,7 @@ class NmpcNode(SuiteNode):
         delay_s = self._delay.measure(stamp_ns, time.time_ns())
         if delay_s is None:
             return 0.0
-        if delay_s > self._settings.value.max_delay_s:
+        if delay_s > self._longest_delay_s:
             clock = self.resolve_topic_name(topics.CLOCK.name)
             if self._delay.simulated_ns is not None and self.count_publishers(clock) > 1:
                 # Of several simulations nobody knows whose time it is.

@@ -14,6 +14,8 @@ import sys
 import time
 from typing import ClassVar
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -143,11 +145,13 @@ class SimNode(SuiteNode):
         self._published_at = 0.0
         self._played_ns = 0
         self._guard_told = ""
+        self._measured: tuple[int, NDArray[np.float64]] | None = None
         self._pace_held = scenario.real_time_factor
         self._reported = (time.monotonic(), 0)
 
         self._clock_time = topics.CLOCK.publisher(self)
         self._odometry = topics.ODOM.publisher(self)
+        self._ground_truth = topics.GROUND_TRUTH.publisher(self)
         self._rotor_states = topics.ROTOR_STATES.publisher(self)
         self._guard = topics.GUARD.publisher(self)
         self._markers = topics.MARKERS.publisher(self)
@@ -207,7 +211,7 @@ class SimNode(SuiteNode):
 
     def _play(self, plan: RotorPlan) -> None:
         first = not self._session.started
-        if self._session.command(plan.stamp_ns, plan.u):
+        if self._session.command(plan.stamp_ns, plan.u, plan.xi):
             self._played_ns = plan.stamp_ns
             if first:
                 self._reported = (time.monotonic(), self._session.stamp_ns)
@@ -216,11 +220,11 @@ class SimNode(SuiteNode):
             self._tick_if_unpaced()
         elif first or plan.stamp_ns != self._played_ns:
             # The same plan again answers a state that was published again.
-            now_ns = self._session.stamp_ns
+            now_ns, due_ns = self._session.stamp_ns, self._session.answer_ns
             raise MessageError(
                 f"rotor_command for {stamps.seconds(plan.stamp_ns)} s at "
-                f"{stamps.seconds(now_ns)} s",
-                "future" if plan.stamp_ns > now_ns else "late",
+                f"{stamps.seconds(now_ns)} s, due is {stamps.seconds(due_ns)} s",
+                "future" if plan.stamp_ns > due_ns else "late",
             )
 
     def _tick_if_unpaced(self) -> None:
@@ -238,15 +242,24 @@ class SimNode(SuiteNode):
             self._end()
 
     def _publish_state(self) -> None:
-        stamp_ns, x = self._session.stamp_ns, self._session.x
+        stamp_ns, x, frames = self._session.stamp_ns, self._session.x, self._settings.value.frames
         # The controller waits for these two.
-        self._odometry.publish(odometry.pack(stamp_ns, x, self._settings.value.frames))
-        self._rotor_states.publish(rotor_states.pack(stamp_ns, x[ROTORS]))
+        self._publish_measured(self._session.measured())
+        self._ground_truth.publish(odometry.pack(stamp_ns, x, frames))
         self._clock_time.publish(ClockMessage(clock=stamps.encode(stamp_ns)))
         if self._transform is not None:
-            self._transform.publish(transforms.encode(stamp_ns, x, self._settings.value.frames))
+            self._transform.publish(transforms.encode(stamp_ns, x, frames))
         self._guard.publish(Bool(data=bool(self._session.guard_active)))
         self._published_at = time.monotonic()
+
+    def _publish_measured(self, measured: tuple[int, NDArray[np.float64]] | None) -> None:
+        """Publish a measurement that is new; it is kept to be told again."""
+        if measured is None:
+            return
+        self._measured = measured
+        stamp_ns, x = measured
+        self._odometry.publish(odometry.pack(stamp_ns, x, self._settings.value.frames))
+        self._rotor_states.publish(rotor_states.pack(stamp_ns, x[ROTORS]))
 
     def _tell_guard(self) -> None:
         """Say at once who takes charge, and why."""
@@ -265,6 +278,7 @@ class SimNode(SuiteNode):
         if self._session.paused or not self._session.awaits_command:
             return
         if time.monotonic() - self._published_at >= RESEND_PERIOD_S and self._is_heard():
+            self._publish_measured(self._measured)
             self._publish_state()
 
     def _is_heard(self) -> bool:
@@ -289,12 +303,19 @@ class SimNode(SuiteNode):
         """End the process once every recorder has acknowledged the whole flight."""
         self.get_logger().info(f"flown {stamps.seconds(self._session.stamp_ns):g} s")
         self._diagnose()
-        for publisher in (self._odometry, self._rotor_states, self._clock_time, self._diagnostics):
+        for publisher in (
+            self._odometry,
+            self._ground_truth,
+            self._rotor_states,
+            self._clock_time,
+            self._diagnostics,
+        ):
             publisher.wait_for_all_acked(Duration(seconds=DELIVERY_TIMEOUT_S))
         self.over = True
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._session.reset()
+        self._measured = None
         response.success, response.message = True, "back at the start, waiting for a controller"
         return response
 

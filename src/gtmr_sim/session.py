@@ -44,6 +44,7 @@ class Session:
         self._sampling_ns = round(sampling_time_s * NANOSECONDS)
         self._tick_s = tick_s
         self._lockstep = lockstep
+        self._delay_ns = round(simulation.scenario.world.odometry.delay_s * NANOSECONDS)
         self._duration_ns = round(duration_s * NANOSECONDS)
         self.paused = False
         """Whether time is stopped for now."""
@@ -51,6 +52,9 @@ class Session:
 
     def _begin(self) -> None:
         self._command_ns: int | None = None
+        self._measured_ns = 0
+        self._new: tuple[int, NDArray[np.float64]] | None = None
+        self._measure()
         self.missed_commands = 0
         """How many sampling times passed without a command for them."""
 
@@ -73,6 +77,17 @@ class Session:
         """True state, shape (12 + N_p,)."""
         return self._simulation.x
 
+    def measured(self) -> tuple[int, NDArray[np.float64]] | None:
+        """Hand out the newest measurement that has arrived, once: stamp [ns] and state."""
+        new, self._new = self._new, None
+        return new
+
+    def _measure(self) -> None:
+        measured = self._simulation.measured()
+        if measured is not None:
+            self._measured_ns = round(measured[0] * NANOSECONDS)
+            self._new = self._measured_ns, measured[1]
+
     @property
     def started(self) -> bool:
         """Whether the first command has come."""
@@ -86,7 +101,12 @@ class Session:
     @property
     def awaits_command(self) -> bool:
         """Whether time stands still for want of a command."""
-        return not self.started or (self._lockstep and self._command_ns != self.stamp_ns)
+        return not self.started or (self._lockstep and self._command_ns != self.answer_ns)
+
+    @property
+    def answer_ns(self) -> int:
+        """Stamp of the command that answers the measurement that arrived last [ns]."""
+        return self._measured_ns + self._delay_ns
 
     @property
     def ready(self) -> bool:
@@ -95,8 +115,8 @@ class Session:
 
     @property
     def command_age_s(self) -> float:
-        """How old the odometry is from which the plan in play was made [s]."""
-        return (self.stamp_ns - (self._command_ns or 0)) / NANOSECONDS
+        """How long ago the newest plan began [s]; zero while that is still to come."""
+        return max(0, self.stamp_ns - (self._command_ns or 0)) / NANOSECONDS
 
     @property
     def guard_active(self) -> bool:
@@ -118,25 +138,31 @@ class Session:
         """Which input of the plan is being played, 0 while commands come in time."""
         return self._simulation.plan_index
 
-    def command(self, stamp_ns: int, u_plan: ArrayLike) -> bool:
-        """Take over a plan [Hz/s], shape (N, N_p), one row every T_s, for a state's stamp [ns].
+    def command(
+        self, stamp_ns: int, u_plan: ArrayLike, setpoints_hz: ArrayLike | None = None
+    ) -> bool:
+        """Take over a plan that acts from a stamp on [ns], with arguments as `Simulation.command`.
 
-        Says whether it is taken: it must be newer than the plan in play, not from the future, not
-        for a state older than `MAX_DELAY_NS`, and for time zero if it is the first.
+        Says whether it is taken: it must be newer than the plan in play, not further ahead than
+        the delay of this world, not older than `MAX_DELAY_NS`, and the answer to the first
+        measurement if it is the first; in lockstep always the answer to the last.
         """
         if self.stamp_ns - stamp_ns > MAX_DELAY_NS:
             return False
-        if stamp_ns > self.stamp_ns or (not self.started and stamp_ns != 0):
+        if stamp_ns > self.stamp_ns + self._delay_ns:
+            return False
+        if (self._lockstep or not self.started) and stamp_ns != self.answer_ns:
             return False
         if self._command_ns is not None and stamp_ns <= self._command_ns:
             return False
-        self._simulation.command(stamp_ns / NANOSECONDS, u_plan)
+        self._simulation.command(stamp_ns / NANOSECONDS, u_plan, setpoints_hz)
         self._command_ns = stamp_ns
         return True
 
     def advance(self) -> None:
         """Fly on by one tick; only when ready."""
         self._simulation.advance(self._tick_s)
+        self._measure()
         at_sample = self.stamp_ns % self._sampling_ns == 0
         if at_sample and self.command_age_s * NANOSECONDS > 1.5 * self._sampling_ns:
             self.missed_commands += 1

@@ -290,7 +290,7 @@ class Simulation:
             if self._sensor is not None:
                 n = min(n, self._sample - self._step % self._sample)
             u = self._input()
-            if self._guard is not None:
+            if self._guard is not None and not self._awaits_first_plan:
                 u, until = self._guarded(self._guard, u)
                 n = min(n, until - self._step)
                 self._guarded_steps += n * self._guard.active
@@ -304,6 +304,11 @@ class Simulation:
                 self._draw_gust()
             if self._sensor is not None and self._step % self._sample == 0:
                 self._sensor.measure(self._step, self.plant.x)
+
+    @property
+    def _awaits_first_plan(self) -> bool:
+        """Whether the first plan has come and is not due yet: rotors hold their speeds so long."""
+        return bool(self._coming) and self._plan.u is self._no_plan and self._plan.usable
 
     def _input(self) -> Array:
         index = self.plan_index

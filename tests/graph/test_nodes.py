@@ -137,7 +137,7 @@ def test_the_mode_switches_in_flight_and_a_bad_one_is_refused(graph):
 
     refused = graph.set_parameter("nmpc", "mode", "bold")
     assert not refused.successful
-    assert "'nominal' or 'robust'" in refused.reason
+    assert "'nominal', 'robust' or 'offset_free'" in refused.reason
     assert graph.get_parameter("nmpc", "mode") == "nominal"
     assert not graph.set_parameter("nmpc", "horizon", 10).successful
 
@@ -327,7 +327,7 @@ def test_a_late_odometry_is_counted_and_the_controller_goes_on_as_if_it_had_not_
     ("module", "parameters", "reason"),
     [
         (SIM, {"vehicle": "nope"}, "there is"),
-        (NMPC, {"mode": "bold"}, "'nominal' or 'robust'"),
+        (NMPC, {"mode": "bold"}, "'nominal', 'robust' or 'offset_free'"),
         (SIM, {"seed": "0.5"}, "expected integer"),
         (NMPC, {"tower.radius_m": "-1.0"}, "out of range"),
         (NMPC, {"horizonn": "30"}, "no parameter horizonn: the closest is horizon"),

@@ -252,9 +252,7 @@ def test_only_what_neither_the_bag_nor_an_option_tells_is_guessed(foreign):
     assert "horizon" in RecordedParameters(recording, vehicle=octo).guessed
     assert RecordedParameters(recording, config=ControllerConfig()).guessed == {"mode": "robust"}
     assert RecordedParameters(recording, "nominal", ControllerConfig()).guessed == {}
-    # Recorded when there was one kind of each, which is why it does not name them.
-    kinds = {"helix.kind": "helix", "margin.kind": "paper"}
-    assert RecordedParameters(read_recording(SAMPLE)).guessed == kinds
+    assert RecordedParameters(read_recording(SAMPLE)).guessed == {}
 
 
 def test_topics_and_rotors_of_other_names_are_found_by_option(foreign):

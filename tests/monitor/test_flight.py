@@ -8,6 +8,8 @@
 
 """A flight read from a bag is the whole flight, whatever the order in which messages came."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.written_bags import SAMPLE, cdr, copied, flown, new
@@ -59,7 +61,7 @@ def test_what_came_before_a_reset_is_left_out_but_told(tmp_path):
     assert not flight.residual_statistics["violated"]
     (note,) = flight.notes
     assert "began again" in note
-    assert "100 odom" in note
+    assert "100 states" in note
     assert "0.100 m" in note
     assert flight.late == {}
 
@@ -100,12 +102,17 @@ def test_commands_and_rotor_speeds_out_of_order_keep_their_margins(tmp_path):
     assert sorted(mixed.margins.t) == pytest.approx(whole.margins.t)
 
 
+def without_guard(messages):
+    """As from a simulator that tells nothing of its guard."""
+    return [m for m in messages if m.topic != "/guard"]
+
+
 def with_guard(in_charge):
     """The sample bag with a simulator that tells of its guard with every odometry, by its time."""
 
     def tell(messages):
         begin_ns = min(m.log_time_ns for m in messages if m.topic == "/odom")
-        for m in messages:
+        for m in without_guard(messages):
             yield m
             if m.topic == "/odom":
                 stamp = m.decode().header.stamp
@@ -133,8 +140,32 @@ def test_a_flight_knows_when_the_guard_was_in_charge(tmp_path, in_charge, spans)
     assert flight.guard_time_s == pytest.approx(sum(end - begin for begin, end in spans))
 
 
-def test_a_flight_without_a_guard_says_that_it_knows_of_none():
-    assert read_flight(SAMPLE).guard_time_s is None
+def test_a_flight_without_a_guard_says_that_it_knows_of_none(tmp_path):
+    flight = read_flight(copied(SAMPLE, tmp_path / "bag", without_guard))
+
+    assert flight.guard_time_s is None
+
+
+def test_clearance_is_that_of_the_true_state_where_it_was_recorded(tmp_path):
+    def moved(messages):
+        """As measured: a decimetre off, and late."""
+        for m in messages:
+            if m.topic == "/odom":
+                odometry = m.decode()
+                odometry.pose.pose.position.x += 0.1
+                m = replace(m, data=cdr(odometry))
+            yield m
+
+    whole = read_flight(SAMPLE)
+    measured = read_flight(copied(SAMPLE, tmp_path / "bag", lambda m: list(moved(m))))
+    blind = read_flight(
+        copied(SAMPLE, tmp_path / "odom", lambda m: [i for i in m if i.topic != "/ground_truth"])
+    )
+
+    assert whole.clearance_from == measured.clearance_from == "ground_truth"
+    assert blind.clearance_from == "odom"
+    assert measured.clearance == pytest.approx(whole.clearance)
+    assert blind.clearance == pytest.approx(whole.clearance)
 
 
 def test_a_bag_of_several_vehicles_asks_which_one(tmp_path):

@@ -61,7 +61,7 @@ def flight_of(recording: Recording) -> Flight:
 
     Raises BagError if recorded parameters make no tower or helix.
     """
-    path, odometry = recording.path, recording.odometry
+    path, odometry, true_states = recording.path, recording.odometry, recording.true_states
     by_arrival = sorted(odometry, key=lambda item: item.received_ns)
     received_ns = np.array([item.received_ns for item in by_arrival])
     newest_ns = np.maximum.accumulate(np.array([item.stamp_ns for item in by_arrival]))
@@ -95,16 +95,17 @@ def flight_of(recording: Recording) -> Flight:
     if recording.before_reset:
         closest_m = tower.clearance(_positions(recording.before_reset)).min()
         notes.append(
-            f"the simulation began again: of the {len(recording.before_reset)} odom messages "
+            f"the simulation began again: of the {len(recording.before_reset)} states "
             f"before that, which are left out, the least clearance is {closest_m:.3f} m"
         )
     margins = _margins(step_times(recording.tightening), recording.tightening, notes)
     return Flight(
         name=recording.name,
         source=path,
-        t=flight_time([item.stamp_ns for item in odometry]),
-        p=_positions(odometry),
-        eta=_roll_pitch_yaw(odometry),
+        t=flight_time([item.stamp_ns for item in true_states]),
+        p=_positions(true_states),
+        eta=_roll_pitch_yaw(true_states),
+        clearance_from=recording.clearance_from,
         recorded_residual=np.array([item.message.data for item in recording.residuals]),
         t_rotors=flight_time([item.stamp_ns for item in rotors]),
         rotor_speed_hz=_rows([item.message.velocity for item in rotors]) / RAD_PER_TURN,

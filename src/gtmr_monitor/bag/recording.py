@@ -85,6 +85,10 @@ class Recording:
     """Fully qualified name of the controller."""
     odometry: list[Recorded]
     """Those whose pose is finite; at least one."""
+    true_states: list[Recorded]
+    """What clearance is taken from: the true states, or the odometry where there are none."""
+    clearance_from: str
+    """Which of both: ``ground_truth`` or ``odom``."""
     before_reset: list[Recorded]
     """The same, of what was flown before the simulation was last reset."""
     rotor_states: list[Recorded]

@@ -10,6 +10,7 @@
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -137,6 +138,7 @@ class _Bag:
 
         odometry, before_reset = in_order(contract.ODOM, self._odometry(odom, notes, dropped))
         begin_ns = min(item.received_ns for item in odometry)
+        true_states, true_before = self._truth(namespace, in_order, dropped)
         sent = recorded(contract.ROTOR_COMMAND)
         commands, _ = in_order(contract.ROTOR_COMMAND, sent)
         stamped = {command.stamp_ns for command in commands}
@@ -158,7 +160,9 @@ class _Bag:
             rotors=rotors,
             node=f"{home}/nmpc",
             odometry=odometry,
-            before_reset=before_reset,
+            true_states=true_states or odometry,
+            clearance_from="ground_truth" if true_states else "odom",
+            before_reset=true_before if true_states else before_reset,
             rotor_states=rotor_states,
             commands=commands,
             command_order=[s for s in dict.fromkeys(i.stamp_ns for i in sent) if s in stamped],
@@ -175,6 +179,17 @@ class _Bag:
                 odom, odometry, bool(before_reset), dropped, _told_period_s(told, home)
             ),
         )
+
+    def _truth(
+        self, namespace: str, in_order: Callable[..., Any], dropped: Counter[str]
+    ) -> tuple[list[Recorded], list[Recorded]]:
+        """Read the true states beside an odometry, if any were recorded."""
+        topic = contract.GROUND_TRUTH
+        came = self.of(topic).get(f"{namespace}/{topic.name}", [])
+        finite = [
+            item for item in decoded(came, dropped) if math.isfinite(_sum(item.message.pose.pose))
+        ]
+        return in_order(topic, finite) if finite else ([], [])
 
     def _coverage(
         self,

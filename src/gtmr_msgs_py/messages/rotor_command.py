@@ -27,11 +27,11 @@ class RotorPlan:
     """What the rotors shall do over the horizon."""
 
     stamp_ns: int
-    """Stamp of the odometry that it was planned from [ns]."""
+    """From when it acts: that of the odometry that it was planned from, and the delay [ns]."""
     step_ns: int
     """T_s, time from one point to the next [ns]."""
     xi: NDArray[np.float64]
-    """Rotor speeds [Hz], shape (N + 1, N_p)."""
+    """Speed setpoints [Hz], linear in between, shape (N + 1, N_p)."""
     u: NDArray[np.float64]
     """Rotor accelerations [Hz/s], row i held from i T_s to (i + 1) T_s, shape (N, N_p)."""
 
@@ -68,7 +68,7 @@ def decode(msg: JointTrajectory, n_rotors: int) -> RotorPlan:
 def pack(stamp_ns: int, step_ns: int, xi: ArrayLike, u: ArrayLike) -> bytes:
     """Make CDR bytes of a trajectory_msgs/JointTrajectory of N + 1 points, T_s (step_ns) apart.
 
-    Stamp of the odometry that it was planned from [ns], rotor speeds xi [Hz], shape (N + 1, N_p),
+    Stamp from which it acts [ns], rotor speed setpoints xi [Hz], shape (N + 1, N_p),
     accelerations u [Hz/s], shape (N, N_p); at the last point these are zero: hold that speed.
     """
     points = _points(xi, u)
