@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from gtmr_model import N_ZETA, Helix
+from gtmr_model import N_ZETA, ConfigError, Helix
 from gtmr_model.dynamics import (
     ATTITUDE,
     POSITION,
@@ -67,6 +67,11 @@ class InspectionNlp:
         condensed: bool = False,
         disturbance: Array | None = None,
     ) -> None:
+        if config.clearance_of != "centre":
+            raise ConfigError(
+                f"clearance_of = {config.clearance_of!r}: this program has the clearance of the "
+                "'centre' alone"
+            )
         self.config = config
         if disturbance is None:
             disturbance = np.zeros((config.horizon, 6))
