@@ -65,7 +65,15 @@ ODOM = TopicName(
     "nav_msgs/msg/Odometry",
     ("sim",),
     ("nmpc", "monitor"),
-    "Pose of `base_link` (FLU) in `map` (ENU) [m]; twist in `base_link` [m/s, rad/s]",
+    "Pose of `base_link` (FLU) in `map` (ENU) [m]; twist in `base_link` [m/s, rad/s]: as it is "
+    "measured, stamped with when that was",
+)
+GROUND_TRUTH = TopicName(
+    "ground_truth",
+    "nav_msgs/msg/Odometry",
+    ("sim",),
+    ("monitor",),
+    "The true state in the same frames and units; the clearance is taken from it",
 )
 ROTOR_STATES = TopicName(
     "rotor_states",
@@ -79,8 +87,9 @@ ROTOR_COMMAND = TopicName(
     "trajectory_msgs/msg/JointTrajectory",
     ("nmpc",),
     ("sim", "monitor"),
-    "The whole plan: point i, at i T_s after the stamp of its odometry, has `velocities` [rad/s] "
-    "and `accelerations` [rad/s^2]; point N holds the speed",
+    "The whole plan: point i, at i T_s after its stamp, has `velocities` [rad/s], the setpoints "
+    "of motors, and `accelerations` [rad/s^2]; point N holds the speed. Its stamp is that of its "
+    "odometry, later by `delay_s`",
 )
 GUARD = TopicName(
     "guard",

@@ -120,6 +120,7 @@ def _if_installed(topic: TopicName) -> Topic | None:
 
 
 ODOM = Topic.of(contract.ODOM)
+GROUND_TRUTH = Topic.of(contract.GROUND_TRUTH)
 ROTOR_STATES = Topic.of(contract.ROTOR_STATES)
 ROTOR_COMMAND = Topic.of(contract.ROTOR_COMMAND)
 GUARD = Topic.of(contract.GUARD)
@@ -137,6 +138,7 @@ CLOCK = Topic.of(contract.CLOCK)
 
 TOPICS = (
     ODOM,
+    GROUND_TRUTH,
     ROTOR_STATES,
     ROTOR_COMMAND,
     GUARD,

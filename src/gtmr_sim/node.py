@@ -148,6 +148,7 @@ class SimNode(SuiteNode):
 
         self._clock_time = topics.CLOCK.publisher(self)
         self._odometry = topics.ODOM.publisher(self)
+        self._truth = topics.GROUND_TRUTH.publisher(self)
         self._rotor_states = topics.ROTOR_STATES.publisher(self)
         self._guard = topics.GUARD.publisher(self)
         self._markers = topics.MARKERS.publisher(self)
@@ -207,7 +208,7 @@ class SimNode(SuiteNode):
 
     def _play(self, plan: RotorPlan) -> None:
         first = not self._session.started
-        if self._session.command(plan.stamp_ns, plan.u):
+        if self._session.command(plan.stamp_ns, plan.u, plan.xi):
             self._played_ns = plan.stamp_ns
             if first:
                 self._reported = (time.monotonic(), self._session.stamp_ns)
@@ -232,19 +233,24 @@ class SimNode(SuiteNode):
         if not self._session.ready:
             return
         self._session.advance()
-        self._publish_state()
+        self._publish_state(self._session.is_new)
         self._tell_guard()
         if self._session.over:
             self._end()
 
-    def _publish_state(self) -> None:
-        stamp_ns, x = self._session.stamp_ns, self._session.x
-        # The controller waits for these two.
-        self._odometry.publish(odometry.pack(stamp_ns, x, self._settings.value.frames))
-        self._rotor_states.publish(rotor_states.pack(stamp_ns, x[ROTORS]))
+    def _publish_state(self, measured: bool) -> None:
+        """Publish the true state, and what was measured if there is anything to tell."""
+        session, frames = self._session, self._settings.value.frames
+        stamp_ns, x = session.stamp_ns, session.x
+        if measured:
+            # The controller waits for these two.
+            made_ns, seen = session.measured_ns, session.measured_x
+            self._odometry.publish(odometry.pack(made_ns, seen, frames))
+            self._rotor_states.publish(rotor_states.pack(made_ns, seen[ROTORS]))
+        self._truth.publish(odometry.pack(stamp_ns, x, frames))
         self._clock_time.publish(ClockMessage(clock=stamps.encode(stamp_ns)))
         if self._transform is not None:
-            self._transform.publish(transforms.encode(stamp_ns, x, self._settings.value.frames))
+            self._transform.publish(transforms.encode(stamp_ns, x, frames))
         self._guard.publish(Bool(data=bool(self._session.guard_active)))
         self._published_at = time.monotonic()
 
@@ -265,7 +271,7 @@ class SimNode(SuiteNode):
         if self._session.paused or not self._session.awaits_command:
             return
         if time.monotonic() - self._published_at >= RESEND_PERIOD_S and self._is_heard():
-            self._publish_state()
+            self._publish_state(measured=True)
 
     def _is_heard(self) -> bool:
         """Whether the controller and all recorders are there; asked for only before the start."""
@@ -274,7 +280,9 @@ class SimNode(SuiteNode):
         return self._listeners() >= 1 + self._settings.value.recorders
 
     def _listeners(self) -> int:
-        return min(p.get_subscription_count() for p in (self._odometry, self._rotor_states))
+        # Of the truth the controller knows nothing.
+        counts = [p.get_subscription_count() for p in (self._odometry, self._rotor_states)]
+        return min(*counts, 1 + self._truth.get_subscription_count())
 
     def _missing(self) -> str:
         """Say who keeps the flight from starting."""
@@ -289,7 +297,13 @@ class SimNode(SuiteNode):
         """End the process once every recorder has acknowledged the whole flight."""
         self.get_logger().info(f"flown {stamps.seconds(self._session.stamp_ns):g} s")
         self._diagnose()
-        for publisher in (self._odometry, self._rotor_states, self._clock_time, self._diagnostics):
+        for publisher in (
+            self._odometry,
+            self._rotor_states,
+            self._truth,
+            self._clock_time,
+            self._diagnostics,
+        ):
             publisher.wait_for_all_acked(Duration(seconds=DELIVERY_TIMEOUT_S))
         self.over = True
 
@@ -333,7 +347,7 @@ class SimNode(SuiteNode):
             level, message = Level.WARN, f"the guard is in charge: {session.guard_cause}"
         elif self._silence.silent:
             level, message = Level.WARN, "rotor_command has stopped"
-        elif session.command_age_s > 2.0 * scenario.sampling_time_s:
+        elif session.command_age_s > session.usual_age_s + scenario.sampling_time_s:
             level, message = Level.WARN, "no new commands: playing the rest of the last plan"
         elif 0.0 <= held < PACE_HELD * scenario.real_time_factor:
             level, message = Level.WARN, "slower than real_time_factor asks for"

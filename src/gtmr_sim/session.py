@@ -19,16 +19,16 @@ from gtmr_sim.simulation import Simulation
 NANOSECONDS = 1_000_000_000
 """In a second."""
 MAX_DELAY_NS = 60_000_000
-"""Oldest state from which a plan is taken [ns]: with more delay in the loop than this it is no
-longer stable. One that comes late is no loss, as the plan in play goes on; if all do, that one
+"""Oldest plan that is taken, beyond the delay that the world states [ns]: with more delay in the
+loop than is known of it is no longer stable. One that comes late is no loss, as the plan in play goes on; if all do, that one
 ends, and the guard takes charge."""
 
 
 class Session:
     """Decides when simulated time may go on; knows nothing of messages and clocks.
 
-    A flight stands still at time zero until it is answered by a command for that time. In lockstep
-    it does so at every instant. A tick, by which :meth:`advance` flies on [s], is T_s in lockstep,
+    A flight stands still at time zero until the first measurement is answered by a command. In
+    lockstep it does so for every measurement; where none has arrived it goes on. A tick, by which :meth:`advance` flies on [s], is T_s in lockstep,
     else T_s or a whole part of it; a duration [s] of zero means that the flight never ends.
     """
 
@@ -51,8 +51,24 @@ class Session:
 
     def _begin(self) -> None:
         self._command_ns: int | None = None
+        self._unanswered = False
+        self._measure()
         self.missed_commands = 0
         """How many sampling times passed without a command for them."""
+
+    def _measure(self) -> None:
+        """Take in the newest measurement that has arrived by now, if there is one."""
+        newest = self._simulation.measured()
+        self.is_new = newest is not None
+        """Whether a measurement has arrived since the last instant."""
+        if newest is not None:
+            self.measured_ns, self.measured_x = round(newest[0] * NANOSECONDS), newest[1]
+            self._unanswered = True
+
+    @property
+    def delay_ns(self) -> int:
+        """Age of a measurement when it arrives, at most, as the world states it [ns]."""
+        return round(self._simulation.scenario.world.odometry.delay_s * NANOSECONDS)
 
     def reconfigure(self, scenario: Scenario) -> None:
         """Fly on in another scenario."""
@@ -86,7 +102,7 @@ class Session:
     @property
     def awaits_command(self) -> bool:
         """Whether time stands still for want of a command."""
-        return not self.started or (self._lockstep and self._command_ns != self.stamp_ns)
+        return not self.started or (self._lockstep and self._unanswered)
 
     @property
     def ready(self) -> bool:
@@ -95,8 +111,13 @@ class Session:
 
     @property
     def command_age_s(self) -> float:
-        """How old the odometry is from which the plan in play was made [s]."""
-        return (self.stamp_ns - (self._command_ns or 0)) / NANOSECONDS
+        """How long ago the newest plan began, by its stamp; zero if it is still to come [s]."""
+        return max(0, self.stamp_ns - (self._command_ns or 0)) / NANOSECONDS
+
+    @property
+    def usual_age_s(self) -> float:
+        """How long ago a plan began at most, where none is missed [s]."""
+        return (self._sampling_ns + self.delay_ns) / NANOSECONDS
 
     @property
     def guard_active(self) -> bool:
@@ -118,25 +139,30 @@ class Session:
         """Which input of the plan is being played, 0 while commands come in time."""
         return self._simulation.plan_index
 
-    def command(self, stamp_ns: int, u_plan: ArrayLike) -> bool:
-        """Take over a plan [Hz/s], shape (N, N_p), one row every T_s, for a state's stamp [ns].
+    def command(
+        self, stamp_ns: int, u_plan: ArrayLike, setpoints_hz: ArrayLike | None = None
+    ) -> bool:
+        """Take over a plan, one row every T_s, that acts from a stamp on [ns].
 
-        Says whether it is taken: it must be newer than the plan in play, not from the future, not
-        for a state older than `MAX_DELAY_NS`, and for time zero if it is the first.
+        It has accelerations [Hz/s], shape (N, N_p), and for a world with motors speed setpoints
+        [Hz], shape (N + 1, N_p). Says whether it is taken: it must be newer than the plan before,
+        begin no later than ``delay_ns`` from now, and no earlier than `MAX_DELAY_NS` and
+        ``delay_ns`` ago, and not before time zero.
         """
-        if self.stamp_ns - stamp_ns > MAX_DELAY_NS:
-            return False
-        if stamp_ns > self.stamp_ns or (not self.started and stamp_ns != 0):
+        age_ns = self.stamp_ns - stamp_ns
+        if not -self.delay_ns <= age_ns <= MAX_DELAY_NS + self.delay_ns or stamp_ns < 0:
             return False
         if self._command_ns is not None and stamp_ns <= self._command_ns:
             return False
-        self._simulation.command(stamp_ns / NANOSECONDS, u_plan)
+        self._simulation.command(stamp_ns / NANOSECONDS, u_plan, setpoints_hz)
         self._command_ns = stamp_ns
+        self._unanswered = self._unanswered and stamp_ns < self.measured_ns
         return True
 
     def advance(self) -> None:
         """Fly on by one tick; only when ready."""
         self._simulation.advance(self._tick_s)
+        self._measure()
         at_sample = self.stamp_ns % self._sampling_ns == 0
-        if at_sample and self.command_age_s * NANOSECONDS > 1.5 * self._sampling_ns:
+        if at_sample and self.command_age_s > self.usual_age_s + 0.5e-9 * self._sampling_ns:
             self.missed_commands += 1

@@ -30,7 +30,7 @@ TOWER = "#c9c9c9"
 
 # Okabe and Ito's palette: told apart with any colour vision. Blue and vermillion are its pair of
 # strongest contrast, and differ in lightness too.
-MODE_COLOURS = {"nominal": "#D55E00", "robust": "#0072B2"}
+MODE_COLOURS = {"nominal": "#D55E00", "robust": "#0072B2", "offset_free": "#F0E442"}
 OTHER_COLOUR = "#CC79A7"
 """Flights that switched their mode, or do not tell it."""
 GAP_COLOUR = "#bdbdbd"
