@@ -112,6 +112,9 @@ class WatchedVehicle:
         """What the nodes that fly it take for the tower."""
         self.warned: list[str] = []
         """What of that was told in the log."""
+        self.truth_name = node.resolve_topic_name(self.topic(topics.GROUND_TRUTH).name)
+        self.source = topics.ODOM
+        """Where its clearance comes from: what is true, where somebody tells it."""
         parts = (node.get_namespace().strip("/"), namespace)
         above = "".join(f"/{part}" for part in parts if part)
         self.nodes = {f"{above}/{name}": name for name in FLYING}
@@ -122,6 +125,17 @@ class WatchedVehicle:
         if not self.namespace or topic.name.startswith("/"):
             return topic
         return replace(topic, name=f"{self.namespace}/{topic.name}")
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether what its clearance comes from has stopped."""
+        return self.silence is not None and self.silence.silent
+
+    def take_from(self, source: topics.Topic) -> None:
+        """Take the clearance from another topic from now on, and begin to count again."""
+        if source != self.source:
+            self.source, self.order = source, StampOrder()
+            self.watch, self.gaps, self.late = ResidualWatch(), Gaps(), 0
 
     def update(self, stamp_ns: int, residual_m: float) -> ResidualWatch | None:
         """Take in a residual [m]; of a flight that another one follows, return the watch.
@@ -181,7 +195,9 @@ class MonitorNode(SuiteNode):
             vehicle.silence = Silence(
                 self, vehicle.odometry_name, partial(self._diagnose_vehicle, vehicle)
             )
-            listen(self, vehicle.topic(topics.ODOM), partial(self._on_odometry, vehicle))
+            for source in (topics.ODOM, topics.GROUND_TRUTH):
+                take = partial(self._on_odometry, vehicle, source)
+                listen(self, vehicle.topic(source), take)
         listen(self, PARAMETER_EVENTS, self._on_parameter_event)
         self._fetches = [
             ParameterFetch(self, name, self._take_parameters)
@@ -232,7 +248,7 @@ class MonitorNode(SuiteNode):
     def _record_everything(self) -> None:
         written_otherwise = {PARAMETER_EVENTS.name}
         for v in self._vehicles:
-            own = (v.odometry_name, v.clearance.topic_name, v.residual.topic_name)
+            own = (v.odometry_name, v.truth_name, v.clearance.topic_name, v.residual.topic_name)
             written_otherwise.update(own)
         for name, topic in self._topics().items():
             if name not in written_otherwise:
@@ -258,10 +274,22 @@ class MonitorNode(SuiteNode):
             if event.node in vehicle.nodes:
                 vehicle.towers.take(vehicle.nodes[event.node], values)
 
-    def _on_odometry(self, vehicle: WatchedVehicle, data: bytes, info: Info) -> None:
-        came_ns = received_ns(info)
-        self._numbers.take(vehicle.odometry_name, self._number(vehicle.odometry_name, info))
-        self._recording.write(vehicle.odometry_name, data, came_ns, info["source_timestamp"])
+    def _on_odometry(
+        self, vehicle: WatchedVehicle, source: topics.Topic, data: bytes, info: Info
+    ) -> None:
+        is_truth, came_ns = source is topics.GROUND_TRUTH, received_ns(info)
+        name = vehicle.truth_name if is_truth else vehicle.odometry_name
+        self._numbers.take(name, self._number(name, info))
+        self._recording.write(name, data, came_ns, info["source_timestamp"])
+        if is_truth or (
+            vehicle.source is topics.ODOM and self.count_publishers(vehicle.truth_name)
+        ):
+            vehicle.take_from(topics.GROUND_TRUTH)
+        elif vehicle.is_silent and not self.count_publishers(vehicle.truth_name):
+            # Who told the truth has gone, and the flight goes on without.
+            vehicle.take_from(topics.ODOM)
+        if source is not vehicle.source:
+            return
         if vehicle.silence is not None:
             vehicle.silence.heard()
         try:
@@ -329,7 +357,7 @@ class MonitorNode(SuiteNode):
         if vehicle.gaps.count or self._numbers.lost:
             level = max(level, Level.WARN)
             message += "; not everything was heard"
-        if vehicle.silence is not None and vehicle.silence.silent:
+        if vehicle.is_silent:
             level = Level.WARN if level is Level.OK else level
             message += "; odometry has stopped"
         if vehicle.late:
@@ -347,6 +375,7 @@ class MonitorNode(SuiteNode):
                 self.get_logger().warning(f"the nodes differ: {disagreement}")
         values: dict[str, diagnostics.Value] = {
             "min_clearance_m": tower.min_clearance_m,
+            "clearance_from": vehicle.source.name,
             "violations": watch.violations,
             "samples": watch.samples,
             "late_odometry": vehicle.late,

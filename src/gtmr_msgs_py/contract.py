@@ -25,7 +25,8 @@ BASE_LINK = "base_link"
 RAD_PER_TURN = 2.0 * math.pi
 """From Hz of the state to rad/s of messages, and from Hz/s to rad/s^2."""
 TIGHTENING_COLUMNS = (*CHANNELS, "eps_s", "alpha_g", "slack")
-"""What a row of `tightening` holds: terms of alpha_p, eq. (12), alpha_g, eq. (13), slack [m]."""
+"""What a row of `tightening` holds: terms of alpha_p, eq. (12), alpha_g, eq. (13), slack [m];
+further margins may follow, each with a label of its own."""
 TIGHTENING_STAGE = "stage"
 """Label of the first dimension of `tightening`; that of the second is the columns."""
 
@@ -113,7 +114,8 @@ TIGHTENING = TopicName(
     "std_msgs/msg/Float64MultiArray",
     ("nmpc",),
     ("monitor",),
-    "Row i is stage i: the terms of alpha_p by channel, eps_s, alpha_g and the slack [m]",
+    "Row i is stage i: the terms of alpha_p by channel, eps_s, alpha_g, the slack, and "
+    "further margins, such as `noise`, by label [m]",
 )
 SOLVE_TIME = TopicName(
     "solve_time",

@@ -22,7 +22,7 @@ from rclpy.clock_type import ClockType
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
-from gtmr_model.dynamics import ATTITUDE, POSITION, ROTORS
+from gtmr_model.dynamics import ATTITUDE, POSITION
 from gtmr_msgs_py import topics
 from gtmr_msgs_py.messages import (
     markers,
@@ -70,6 +70,8 @@ Stamped = tuple[int, NDArray[np.float64]]
 class NmpcParameters(ControllerConfig, FrameParameters):
     """The parameters of the node: the controller's problem, and how it takes part in the graph."""
 
+    controller: str = "default"
+    """Name of a preset, or path of a .yaml file, whose values are the defaults of the others."""
     mode: Mode = "robust"
     """``nominal`` for eq. (5), ``robust`` for eq. (15), or ``offset_free``, which estimates its
     disturbances; may change in flight."""
@@ -113,6 +115,7 @@ class NmpcNode(SuiteNode):
             self.PRESETS,
             self.DYNAMIC,
             on_change=self._change,
+            base="controller",
         )
 
     def allocate(self) -> None:
@@ -308,7 +311,11 @@ class NmpcNode(SuiteNode):
     def _publish_step(self, stamp_ns: int, solution: Solution) -> None:
         self._tightening.publish(
             tightening.encode(
-                solution.alpha_p_by_channel, solution.eps_s, solution.alpha_g, solution.slack
+                solution.alpha_p_by_channel,
+                solution.eps_s,
+                solution.tightening.gust,
+                solution.slack,
+                {"noise": solution.tightening.noise},
             )
         )
         self._solve_time.publish(solve_time.encode(solution.timing.total_s))

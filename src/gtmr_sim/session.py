@@ -20,16 +20,17 @@ NANOSECONDS = 1_000_000_000
 """In a second."""
 MAX_DELAY_NS = 60_000_000
 """Oldest plan that is taken, beyond the delay that the world states [ns]: with more delay in the
-loop than is known of it is no longer stable. One that comes late is no loss, as the plan in play goes on; if all do, that one
-ends, and the guard takes charge."""
+loop than is known of it is no longer stable. One that comes late is no loss, as the plan in play
+goes on; if all do, that one ends, and the guard takes charge."""
 
 
 class Session:
     """Decides when simulated time may go on; knows nothing of messages and clocks.
 
     A flight stands still at time zero until the first measurement is answered by a command. In
-    lockstep it does so for every measurement; where none has arrived it goes on. A tick, by which :meth:`advance` flies on [s], is T_s in lockstep,
-    else T_s or a whole part of it; a duration [s] of zero means that the flight never ends.
+    lockstep it does so for every measurement; where none has arrived it goes on. A tick, by which
+    :meth:`advance` flies on [s], is T_s in lockstep, else T_s or a whole part of it; a duration
+    [s] of zero means that the flight never ends.
     """
 
     def __init__(
