@@ -43,6 +43,8 @@ class MarginHistory:
     """Gust margin, eq. (13) [m], shape (M, N + 1)."""
     slack: Array
     """By how much the plan violates the tightened clearance [m], shape (M, N + 1)."""
+    further: Mapping[str, Array] = field(default_factory=dict)
+    """Further margins by name, such as ``noise`` [m], shape (M, N + 1) each."""
 
     @property
     def alpha_p(self) -> Array:
@@ -52,8 +54,9 @@ class MarginHistory:
 
     @property
     def total(self) -> Array:
-        """alpha_p + alpha_g [m], shape (M, N + 1)."""
-        return self.alpha_p + self.alpha_g
+        """alpha_p + alpha_g, and further margins [m], shape (M, N + 1)."""
+        total: Array = self.alpha_p + self.alpha_g + sum(self.further.values())
+        return total
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,10 @@ class Predictions:
 
 @dataclass(frozen=True)
 class Flight:
-    """One flight as it was recorded; every time is in seconds since its first odometry."""
+    """One flight as it was recorded; every time is in seconds since its first odometry.
+
+    Position and attitude are the truth, where that was recorded; else the measured odometry.
+    """
 
     name: str
     """What to call it."""
@@ -102,11 +108,10 @@ class Flight:
     """What was to be followed."""
     coverage: Coverage
     """What of the flight is recorded."""
-    clearance_from: str = "odom"
-    """What position and attitude are of: ``ground_truth``, or ``odom`` where that was not
-    recorded."""
     vehicle: Vehicle | None = None
     """What was flown; None if that was not recorded, or is not known here."""
+    clearance_from: str = "odom"
+    """Topic of which position, clearance and every statistic are: ``ground_truth`` or ``odom``."""
     guarded: tuple[tuple[float, float], ...] | None = None
     """From when to when [s] the guard was in charge, in order; None if that was not recorded."""
     zeta: tuple[float, ...] | None = None
@@ -131,7 +136,7 @@ class Flight:
 
     @property
     def mode(self) -> str:
-        """``nominal``, ``robust``, both joined by an arrow if it was switched, or ``unknown``."""
+        """Modes flown, joined by an arrow if it was switched; ``unknown`` if not recorded."""
         return " → ".join(mode for _, mode in self.modes) or "unknown"
 
     @property
@@ -141,7 +146,7 @@ class Flight:
 
     @cached_property
     def clearance(self) -> Array:
-        """d_T at the times of the odometry [m], shape (n,)."""
+        """d_T at the times ``t`` [m], shape (n,)."""
         return self.tower.clearance(self.p)
 
     @cached_property
@@ -156,7 +161,7 @@ class Flight:
 
     @cached_property
     def residual(self) -> Array:
-        """Residual s = d_min - d_T at the times of the odometry [m], shape (n,)."""
+        """Residual s = d_min - d_T at the times ``t`` [m], shape (n,)."""
         return self.tower.residual(self.p)
 
     @cached_property

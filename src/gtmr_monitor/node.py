@@ -102,9 +102,6 @@ class WatchedVehicle:
         self.drops = Drops(lambda reason: node.warn(f"{self.odometry_name}: {reason}"))
         """Its odometry that could not be used."""
         self.odometry_name = node.resolve_topic_name(self.topic(topics.ODOM).name)
-        self.truth_name = node.resolve_topic_name(self.topic(topics.GROUND_TRUTH).name)
-        self.knows_truth = False
-        """Whether somebody publishes the true state, from which the clearance is taken then."""
         self.clearance = self.topic(topics.CLEARANCE).publisher(node)
         self.residual = self.topic(topics.CLEARANCE_RESIDUAL).publisher(node)
         self.order = StampOrder()
@@ -115,6 +112,9 @@ class WatchedVehicle:
         """What the nodes that fly it take for the tower."""
         self.warned: list[str] = []
         """What of that was told in the log."""
+        self.truth_name = node.resolve_topic_name(self.topic(topics.GROUND_TRUTH).name)
+        self.source = topics.ODOM
+        """Where its clearance comes from: what is true, where somebody tells it."""
         parts = (node.get_namespace().strip("/"), namespace)
         above = "".join(f"/{part}" for part in parts if part)
         self.nodes = {f"{above}/{name}": name for name in FLYING}
@@ -125,6 +125,17 @@ class WatchedVehicle:
         if not self.namespace or topic.name.startswith("/"):
             return topic
         return replace(topic, name=f"{self.namespace}/{topic.name}")
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether what its clearance comes from has stopped."""
+        return self.silence is not None and self.silence.silent
+
+    def take_from(self, source: topics.Topic) -> None:
+        """Take the clearance from another topic from now on, and begin to count again."""
+        if source != self.source:
+            self.source, self.order = source, StampOrder()
+            self.watch, self.gaps, self.late = ResidualWatch(), Gaps(), 0
 
     def update(self, stamp_ns: int, residual_m: float) -> ResidualWatch | None:
         """Take in a residual [m]; of a flight that another one follows, return the watch.
@@ -148,9 +159,7 @@ class WatchedVehicle:
 
 
 class MonitorNode(SuiteNode):
-    """Publishes clearance and residual for every true state, and records every topic.
-
-    Where nobody publishes the true state, as on an aircraft, it takes the odometry.
+    """Publishes clearance and residual for every odometry message, and records every topic.
 
     If it is ``managed``, lifecycle services say when it watches. Raises ConfigError if a parameter
     cannot be used.
@@ -186,9 +195,9 @@ class MonitorNode(SuiteNode):
             vehicle.silence = Silence(
                 self, vehicle.odometry_name, partial(self._diagnose_vehicle, vehicle)
             )
-            listen(self, vehicle.topic(topics.ODOM), partial(self._on_odometry, vehicle))
-            truth = vehicle.topic(topics.GROUND_TRUTH)
-            listen(self, truth, partial(self._on_ground_truth, vehicle))
+            for source in (topics.ODOM, topics.GROUND_TRUTH):
+                take = partial(self._on_odometry, vehicle, source)
+                listen(self, vehicle.topic(source), take)
         listen(self, PARAMETER_EVENTS, self._on_parameter_event)
         self._fetches = [
             ParameterFetch(self, name, self._take_parameters)
@@ -239,12 +248,7 @@ class MonitorNode(SuiteNode):
     def _record_everything(self) -> None:
         written_otherwise = {PARAMETER_EVENTS.name}
         for v in self._vehicles:
-            own = (
-                v.odometry_name,
-                v.truth_name,
-                v.clearance.topic_name,
-                v.residual.topic_name,
-            )
+            own = (v.odometry_name, v.truth_name, v.clearance.topic_name, v.residual.topic_name)
             written_otherwise.update(own)
         for name, topic in self._topics().items():
             if name not in written_otherwise:
@@ -270,37 +274,30 @@ class MonitorNode(SuiteNode):
             if event.node in vehicle.nodes:
                 vehicle.towers.take(vehicle.nodes[event.node], values)
 
-    def _on_odometry(self, vehicle: WatchedVehicle, data: bytes, info: Info) -> None:
-        came_ns = received_ns(info)
-        self._numbers.take(vehicle.odometry_name, self._number(vehicle.odometry_name, info))
-        self._recording.write(vehicle.odometry_name, data, came_ns, info["source_timestamp"])
+    def _on_odometry(
+        self, vehicle: WatchedVehicle, source: topics.Topic, data: bytes, info: Info
+    ) -> None:
+        is_truth, came_ns = source is topics.GROUND_TRUTH, received_ns(info)
+        name = vehicle.truth_name if is_truth else vehicle.odometry_name
+        self._numbers.take(name, self._number(name, info))
+        self._recording.write(name, data, came_ns, info["source_timestamp"])
+        if is_truth or (
+            vehicle.source is topics.ODOM and self.count_publishers(vehicle.truth_name)
+        ):
+            vehicle.take_from(topics.GROUND_TRUTH)
+        elif vehicle.is_silent and not self.count_publishers(vehicle.truth_name):
+            # Who told the truth has gone, and the flight goes on without.
+            vehicle.take_from(topics.ODOM)
+        if source is not vehicle.source:
+            return
         if vehicle.silence is not None:
             vehicle.silence.heard()
-        if not vehicle.knows_truth:
-            vehicle.knows_truth = self.count_publishers(vehicle.truth_name) > 0
-        if not vehicle.knows_truth:
-            self._watch(vehicle, data, came_ns)
-            return
-        # Not needed, but one that cannot be used is told of all the same.
         try:
-            odometry.unpack(data, self._settings.value.frames)
+            self._watch(vehicle, data, came_ns)
         except MessageError as error:
             vehicle.drops.add(error)
-
-    def _on_ground_truth(self, vehicle: WatchedVehicle, data: bytes, info: Info) -> None:
-        came_ns = received_ns(info)
-        self._numbers.take(vehicle.truth_name, self._number(vehicle.truth_name, info))
-        self._recording.write(vehicle.truth_name, data, came_ns, info["source_timestamp"])
-        vehicle.knows_truth = True
-        self._watch(vehicle, data, came_ns)
 
     def _watch(self, vehicle: WatchedVehicle, data: bytes, came_ns: int) -> None:
-        try:
-            self._take(vehicle, data, came_ns)
-        except MessageError as error:
-            vehicle.drops.add(error)
-
-    def _take(self, vehicle: WatchedVehicle, data: bytes, came_ns: int) -> None:
         settings = self._settings.value
         tower = settings.tower
         stamp_ns, x = odometry.unpack(data, settings.frames)
@@ -360,7 +357,7 @@ class MonitorNode(SuiteNode):
         if vehicle.gaps.count or self._numbers.lost:
             level = max(level, Level.WARN)
             message += "; not everything was heard"
-        if vehicle.silence is not None and vehicle.silence.silent:
+        if vehicle.is_silent:
             level = Level.WARN if level is Level.OK else level
             message += "; odometry has stopped"
         if vehicle.late:
@@ -378,7 +375,7 @@ class MonitorNode(SuiteNode):
                 self.get_logger().warning(f"the nodes differ: {disagreement}")
         values: dict[str, diagnostics.Value] = {
             "min_clearance_m": tower.min_clearance_m,
-            "clearance_from": "ground_truth" if vehicle.knows_truth else "odom",
+            "clearance_from": vehicle.source.name,
             "violations": watch.violations,
             "samples": watch.samples,
             "late_odometry": vehicle.late,

@@ -25,7 +25,8 @@ BASE_LINK = "base_link"
 RAD_PER_TURN = 2.0 * math.pi
 """From Hz of the state to rad/s of messages, and from Hz/s to rad/s^2."""
 TIGHTENING_COLUMNS = (*CHANNELS, "eps_s", "alpha_g", "slack")
-"""What a row of `tightening` holds: terms of alpha_p, eq. (12), alpha_g, eq. (13), slack [m]."""
+"""What a row of `tightening` holds: terms of alpha_p, eq. (12), alpha_g, eq. (13), slack [m];
+further margins may follow, each with a label of its own."""
 TIGHTENING_STAGE = "stage"
 """Label of the first dimension of `tightening`; that of the second is the columns."""
 
@@ -65,15 +66,15 @@ ODOM = TopicName(
     "nav_msgs/msg/Odometry",
     ("sim",),
     ("nmpc", "monitor"),
-    "Pose of `base_link` (FLU) in `map` (ENU) [m], as measured; twist in `base_link` [m/s, rad/s]",
+    "Pose of `base_link` (FLU) in `map` (ENU) [m]; twist in `base_link` [m/s, rad/s]: as it is "
+    "measured, stamped with when that was",
 )
 GROUND_TRUTH = TopicName(
     "ground_truth",
     "nav_msgs/msg/Odometry",
     ("sim",),
     ("monitor",),
-    "The true state, in the frames of `odom`, which may be a noisy and late measurement of it; "
-    "clearance is taken from it",
+    "The true state in the same frames and units; the clearance is taken from it",
 )
 ROTOR_STATES = TopicName(
     "rotor_states",
@@ -87,9 +88,9 @@ ROTOR_COMMAND = TopicName(
     "trajectory_msgs/msg/JointTrajectory",
     ("nmpc",),
     ("sim", "monitor"),
-    "The whole plan: point i, at i T_s after the stamp, has `velocities`, speed setpoints "
-    "[rad/s], and `accelerations` [rad/s^2]; point N holds the speed. The stamp is that of the "
-    "odometry plus the controller's `delay_s`",
+    "The whole plan: point i, at i T_s after its stamp, has `velocities` [rad/s], the setpoints "
+    "of motors, and `accelerations` [rad/s^2]; point N holds the speed. Its stamp is that of its "
+    "odometry, later by `delay_s`",
 )
 GUARD = TopicName(
     "guard",
@@ -113,7 +114,8 @@ TIGHTENING = TopicName(
     "std_msgs/msg/Float64MultiArray",
     ("nmpc",),
     ("monitor",),
-    "Row i is stage i: the terms of alpha_p by channel, eps_s, alpha_g and the slack [m]",
+    "Row i is stage i: the terms of alpha_p by channel, eps_s, alpha_g, the slack, and "
+    "further margins, such as `noise`, by label [m]",
 )
 SOLVE_TIME = TopicName(
     "solve_time",

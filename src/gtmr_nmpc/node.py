@@ -70,6 +70,8 @@ Stamped = tuple[int, NDArray[np.float64]]
 class NmpcParameters(ControllerConfig, FrameParameters):
     """The parameters of the node: the controller's problem, and how it takes part in the graph."""
 
+    controller: str = "default"
+    """Name of a preset, or path of a .yaml file, whose values are the defaults of the others."""
     mode: Mode = "robust"
     """``nominal`` for eq. (5), ``robust`` for eq. (15), or ``offset_free``, which estimates its
     disturbances; may change in flight."""
@@ -77,9 +79,8 @@ class NmpcParameters(ControllerConfig, FrameParameters):
     """By how much the stamps of odometry and rotor states that are taken together may differ [s];
     the simulator gives both the same."""
     max_delay_s: float = Field(0.03, ge=0.0, le=10.0)
-    """How much older than ``delay_s`` odometry may be that is acted upon, by the clock that its
-    stamps are of [s]; of an older one no command is sent, and past the last plan the guard takes
-    charge."""
+    """By how much odometry may be older than ``delay_s`` says, by the clock that its stamps are of
+    [s]; of an older one no command is sent, and past the last plan the guard takes charge."""
     recorders: int = Field(0, ge=0, le=10)
     """How many recorders, such as the monitor, must listen before the first step."""
 
@@ -114,6 +115,7 @@ class NmpcNode(SuiteNode):
             self.PRESETS,
             self.DYNAMIC,
             on_change=self._change,
+            base="controller",
         )
 
     def allocate(self) -> None:
@@ -129,7 +131,7 @@ class NmpcNode(SuiteNode):
         self._rotor_states_order = StampOrder()
         self._last_command = b""
         self._begins_again = False
-        self._plausibility = Plausibility(config.vehicle)
+        self._plausibility = Plausibility(config.vehicle, config.offset_free.noise)
         self._delay = Delay()
         self._fitness = Fitness()
         self._withheld, self._withheld_steps = "", 0
@@ -167,7 +169,8 @@ class NmpcNode(SuiteNode):
             self._controller.mode = mode
             self._controller.reset()
             for k in range(2):
-                self._controller.step(k * config.sampling_time_s, x)
+                t = k * config.sampling_time_s
+                self._controller.step(t, x, now=t + config.delay_s)
         self._controller.mode = config.mode
         self._controller.reset()
 
@@ -181,16 +184,11 @@ class NmpcNode(SuiteNode):
             self.get_logger().info(f"{parameters.mode} mode")
         self._controller.reconfigure(parameters)
         # What was prepared is of no use any more; now it costs no time in the next step.
-        self._controller.prepare(self._acting(self._schedule.next_ns))
+        self._controller.prepare(self._acts_at_s(self._schedule.next_ns))
 
-    def _acting(self, stamp_ns: int) -> float:
-        """Time from which a command acts that is made from a state's stamp [s]."""
-        return stamps.seconds(stamp_ns + stamps.nanoseconds(self._settings.value.delay_s))
-
-    @property
-    def _longest_delay_s(self) -> float:
-        """Oldest odometry that is acted upon [s]."""
-        return self._settings.value.delay_s + self._settings.value.max_delay_s
+    def _acts_at_s(self, stamp_ns: int) -> float:
+        """From when the command acts that is made from a state of this stamp [s]."""
+        return stamps.seconds(stamp_ns) + self._settings.value.delay_s
 
     def _on_clock(self, data: bytes) -> None:
         stamp_ns = stamp_of(data)
@@ -222,7 +220,7 @@ class NmpcNode(SuiteNode):
             return
         stamp_ns, x = state
         delay_s = self._measured_delay_s(stamp_ns)
-        if delay_s > self._longest_delay_s:
+        if delay_s > self._most_delay_s:
             self._withhold(f"odometry is {delay_s:.3g} s late")
             return
         due, self._begins_again = self._schedule.admit(stamp_ns, self._begins_again), False
@@ -234,12 +232,12 @@ class NmpcNode(SuiteNode):
             return
         if due is Due.RESTART:
             self._controller.reset()
-        t = stamps.seconds(self._schedule.time_ns)
-        solution = self._controller.step(t, x, now=self._acting(self._schedule.time_ns))
+        time_ns = self._schedule.time_ns
+        solution = self._controller.step(stamps.seconds(time_ns), x, now=self._acts_at_s(time_ns))
         self._send(stamp_ns, x, solution)
         self._performance.add(solution, time.perf_counter() - self._arrival)
         self._publish_step(stamp_ns, solution)
-        self._controller.prepare(self._acting(self._schedule.next_ns))
+        self._controller.prepare(self._acts_at_s(self._schedule.next_ns))
         if due is Due.RESTART:
             self.tell_parameters()
         self._publish_scene(stamp_ns, solution)
@@ -270,12 +268,17 @@ class NmpcNode(SuiteNode):
             self.get_logger().error(f"no command is sent: {reason}")
             self._diagnose()
 
+    @property
+    def _most_delay_s(self) -> float:
+        """Age up to which odometry is acted upon [s]."""
+        return self._settings.value.delay_s + self._settings.value.max_delay_s
+
     def _measured_delay_s(self, stamp_ns: int) -> float:
         """How late odometry is [s]; zero where that is not known."""
         delay_s = self._delay.measure(stamp_ns, time.time_ns())
         if delay_s is None:
             return 0.0
-        if delay_s > self._longest_delay_s:
+        if delay_s > self._most_delay_s:
             clock = self.resolve_topic_name(topics.CLOCK.name)
             if self._delay.simulated_ns is not None and self.count_publishers(clock) > 1:
                 # Of several simulations nobody knows whose time it is.
@@ -308,7 +311,11 @@ class NmpcNode(SuiteNode):
     def _publish_step(self, stamp_ns: int, solution: Solution) -> None:
         self._tightening.publish(
             tightening.encode(
-                solution.alpha_p_by_channel, solution.eps_s, solution.alpha_g, solution.slack
+                solution.alpha_p_by_channel,
+                solution.eps_s,
+                solution.tightening.gust,
+                solution.slack,
+                {"noise": solution.tightening.noise},
             )
         )
         self._solve_time.publish(solve_time.encode(solution.timing.total_s))

@@ -14,8 +14,6 @@ import sys
 import time
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -145,13 +143,12 @@ class SimNode(SuiteNode):
         self._published_at = 0.0
         self._played_ns = 0
         self._guard_told = ""
-        self._measured: tuple[int, NDArray[np.float64]] | None = None
         self._pace_held = scenario.real_time_factor
         self._reported = (time.monotonic(), 0)
 
         self._clock_time = topics.CLOCK.publisher(self)
         self._odometry = topics.ODOM.publisher(self)
-        self._ground_truth = topics.GROUND_TRUTH.publisher(self)
+        self._truth = topics.GROUND_TRUTH.publisher(self)
         self._rotor_states = topics.ROTOR_STATES.publisher(self)
         self._guard = topics.GUARD.publisher(self)
         self._markers = topics.MARKERS.publisher(self)
@@ -220,11 +217,11 @@ class SimNode(SuiteNode):
             self._tick_if_unpaced()
         elif first or plan.stamp_ns != self._played_ns:
             # The same plan again answers a state that was published again.
-            now_ns, due_ns = self._session.stamp_ns, self._session.answer_ns
+            now_ns = self._session.stamp_ns
             raise MessageError(
                 f"rotor_command for {stamps.seconds(plan.stamp_ns)} s at "
-                f"{stamps.seconds(now_ns)} s, due is {stamps.seconds(due_ns)} s",
-                "future" if plan.stamp_ns > due_ns else "late",
+                f"{stamps.seconds(now_ns)} s",
+                "future" if plan.stamp_ns > now_ns else "late",
             )
 
     def _tick_if_unpaced(self) -> None:
@@ -236,30 +233,26 @@ class SimNode(SuiteNode):
         if not self._session.ready:
             return
         self._session.advance()
-        self._publish_state()
+        self._publish_state(self._session.is_new)
         self._tell_guard()
         if self._session.over:
             self._end()
 
-    def _publish_state(self) -> None:
-        stamp_ns, x, frames = self._session.stamp_ns, self._session.x, self._settings.value.frames
-        # The controller waits for these two.
-        self._publish_measured(self._session.measured())
-        self._ground_truth.publish(odometry.pack(stamp_ns, x, frames))
+    def _publish_state(self, measured: bool) -> None:
+        """Publish the true state, and what was measured if there is anything to tell."""
+        session, frames = self._session, self._settings.value.frames
+        stamp_ns, x = session.stamp_ns, session.x
+        if measured:
+            # The controller waits for these two.
+            made_ns, seen = session.measured_ns, session.measured_x
+            self._odometry.publish(odometry.pack(made_ns, seen, frames))
+            self._rotor_states.publish(rotor_states.pack(made_ns, seen[ROTORS]))
+        self._truth.publish(odometry.pack(stamp_ns, x, frames))
         self._clock_time.publish(ClockMessage(clock=stamps.encode(stamp_ns)))
         if self._transform is not None:
             self._transform.publish(transforms.encode(stamp_ns, x, frames))
         self._guard.publish(Bool(data=bool(self._session.guard_active)))
         self._published_at = time.monotonic()
-
-    def _publish_measured(self, measured: tuple[int, NDArray[np.float64]] | None) -> None:
-        """Publish a measurement that is new; it is kept to be told again."""
-        if measured is None:
-            return
-        self._measured = measured
-        stamp_ns, x = measured
-        self._odometry.publish(odometry.pack(stamp_ns, x, self._settings.value.frames))
-        self._rotor_states.publish(rotor_states.pack(stamp_ns, x[ROTORS]))
 
     def _tell_guard(self) -> None:
         """Say at once who takes charge, and why."""
@@ -278,8 +271,7 @@ class SimNode(SuiteNode):
         if self._session.paused or not self._session.awaits_command:
             return
         if time.monotonic() - self._published_at >= RESEND_PERIOD_S and self._is_heard():
-            self._publish_measured(self._measured)
-            self._publish_state()
+            self._publish_state(measured=True)
 
     def _is_heard(self) -> bool:
         """Whether the controller and all recorders are there; asked for only before the start."""
@@ -288,7 +280,9 @@ class SimNode(SuiteNode):
         return self._listeners() >= 1 + self._settings.value.recorders
 
     def _listeners(self) -> int:
-        return min(p.get_subscription_count() for p in (self._odometry, self._rotor_states))
+        # Of the truth the controller knows nothing.
+        counts = [p.get_subscription_count() for p in (self._odometry, self._rotor_states)]
+        return min(*counts, 1 + self._truth.get_subscription_count())
 
     def _missing(self) -> str:
         """Say who keeps the flight from starting."""
@@ -305,8 +299,8 @@ class SimNode(SuiteNode):
         self._diagnose()
         for publisher in (
             self._odometry,
-            self._ground_truth,
             self._rotor_states,
+            self._truth,
             self._clock_time,
             self._diagnostics,
         ):
@@ -315,7 +309,6 @@ class SimNode(SuiteNode):
 
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._session.reset()
-        self._measured = None
         response.success, response.message = True, "back at the start, waiting for a controller"
         return response
 
@@ -354,7 +347,7 @@ class SimNode(SuiteNode):
             level, message = Level.WARN, f"the guard is in charge: {session.guard_cause}"
         elif self._silence.silent:
             level, message = Level.WARN, "rotor_command has stopped"
-        elif session.command_age_s > 2.0 * scenario.sampling_time_s:
+        elif session.command_age_s > session.usual_age_s + scenario.sampling_time_s:
             level, message = Level.WARN, "no new commands: playing the rest of the last plan"
         elif 0.0 <= held < PACE_HELD * scenario.real_time_factor:
             level, message = Level.WARN, "slower than real_time_factor asks for"

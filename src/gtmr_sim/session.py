@@ -19,17 +19,18 @@ from gtmr_sim.simulation import Simulation
 NANOSECONDS = 1_000_000_000
 """In a second."""
 MAX_DELAY_NS = 60_000_000
-"""Oldest state from which a plan is taken [ns]: with more delay in the loop than this it is no
-longer stable. One that comes late is no loss, as the plan in play goes on; if all do, that one
-ends, and the guard takes charge."""
+"""Oldest plan that is taken, beyond the delay that the world states [ns]: with more delay in the
+loop than is known of it is no longer stable. One that comes late is no loss, as the plan in play
+goes on; if all do, that one ends, and the guard takes charge."""
 
 
 class Session:
     """Decides when simulated time may go on; knows nothing of messages and clocks.
 
-    A flight stands still at time zero until it is answered by a command for that time. In lockstep
-    it does so at every instant. A tick, by which :meth:`advance` flies on [s], is T_s in lockstep,
-    else T_s or a whole part of it; a duration [s] of zero means that the flight never ends.
+    A flight stands still at time zero until the first measurement is answered by a command. In
+    lockstep it does so for every measurement; where none has arrived it goes on. A tick, by which
+    :meth:`advance` flies on [s], is T_s in lockstep, else T_s or a whole part of it; a duration
+    [s] of zero means that the flight never ends.
     """
 
     def __init__(
@@ -44,7 +45,6 @@ class Session:
         self._sampling_ns = round(sampling_time_s * NANOSECONDS)
         self._tick_s = tick_s
         self._lockstep = lockstep
-        self._delay_ns = round(simulation.scenario.world.odometry.delay_s * NANOSECONDS)
         self._duration_ns = round(duration_s * NANOSECONDS)
         self.paused = False
         """Whether time is stopped for now."""
@@ -52,11 +52,24 @@ class Session:
 
     def _begin(self) -> None:
         self._command_ns: int | None = None
-        self._measured_ns = 0
-        self._new: tuple[int, NDArray[np.float64]] | None = None
+        self._unanswered = False
         self._measure()
         self.missed_commands = 0
         """How many sampling times passed without a command for them."""
+
+    def _measure(self) -> None:
+        """Take in the newest measurement that has arrived by now, if there is one."""
+        newest = self._simulation.measured()
+        self.is_new = newest is not None
+        """Whether a measurement has arrived since the last instant."""
+        if newest is not None:
+            self.measured_ns, self.measured_x = round(newest[0] * NANOSECONDS), newest[1]
+            self._unanswered = True
+
+    @property
+    def delay_ns(self) -> int:
+        """Age of a measurement when it arrives, at most, as the world states it [ns]."""
+        return round(self._simulation.scenario.world.odometry.delay_s * NANOSECONDS)
 
     def reconfigure(self, scenario: Scenario) -> None:
         """Fly on in another scenario."""
@@ -77,17 +90,6 @@ class Session:
         """True state, shape (12 + N_p,)."""
         return self._simulation.x
 
-    def measured(self) -> tuple[int, NDArray[np.float64]] | None:
-        """Hand out the newest measurement that has arrived, once: stamp [ns] and state."""
-        new, self._new = self._new, None
-        return new
-
-    def _measure(self) -> None:
-        measured = self._simulation.measured()
-        if measured is not None:
-            self._measured_ns = round(measured[0] * NANOSECONDS)
-            self._new = self._measured_ns, measured[1]
-
     @property
     def started(self) -> bool:
         """Whether the first command has come."""
@@ -101,12 +103,7 @@ class Session:
     @property
     def awaits_command(self) -> bool:
         """Whether time stands still for want of a command."""
-        return not self.started or (self._lockstep and self._command_ns != self.answer_ns)
-
-    @property
-    def answer_ns(self) -> int:
-        """Stamp of the command that answers the measurement that arrived last [ns]."""
-        return self._measured_ns + self._delay_ns
+        return not self.started or (self._lockstep and self._unanswered)
 
     @property
     def ready(self) -> bool:
@@ -115,8 +112,13 @@ class Session:
 
     @property
     def command_age_s(self) -> float:
-        """How long ago the newest plan began [s]; zero while that is still to come."""
+        """How long ago the newest plan began, by its stamp; zero if it is still to come [s]."""
         return max(0, self.stamp_ns - (self._command_ns or 0)) / NANOSECONDS
+
+    @property
+    def usual_age_s(self) -> float:
+        """How long ago a plan began at most, where none is missed [s]."""
+        return (self._sampling_ns + self.delay_ns) / NANOSECONDS
 
     @property
     def guard_active(self) -> bool:
@@ -141,22 +143,21 @@ class Session:
     def command(
         self, stamp_ns: int, u_plan: ArrayLike, setpoints_hz: ArrayLike | None = None
     ) -> bool:
-        """Take over a plan that acts from a stamp on [ns], with arguments as `Simulation.command`.
+        """Take over a plan, one row every T_s, that acts from a stamp on [ns].
 
-        Says whether it is taken: it must be newer than the plan in play, not further ahead than
-        the delay of this world, not older than `MAX_DELAY_NS`, and the answer to the first
-        measurement if it is the first; in lockstep always the answer to the last.
+        It has accelerations [Hz/s], shape (N, N_p), and for a world with motors speed setpoints
+        [Hz], shape (N + 1, N_p). Says whether it is taken: it must be newer than the plan before,
+        begin no later than ``delay_ns`` from now, and no earlier than `MAX_DELAY_NS` and
+        ``delay_ns`` ago, and not before time zero.
         """
-        if self.stamp_ns - stamp_ns > MAX_DELAY_NS:
-            return False
-        if stamp_ns > self.stamp_ns + self._delay_ns:
-            return False
-        if (self._lockstep or not self.started) and stamp_ns != self.answer_ns:
+        age_ns = self.stamp_ns - stamp_ns
+        if not -self.delay_ns <= age_ns <= MAX_DELAY_NS + self.delay_ns or stamp_ns < 0:
             return False
         if self._command_ns is not None and stamp_ns <= self._command_ns:
             return False
         self._simulation.command(stamp_ns / NANOSECONDS, u_plan, setpoints_hz)
         self._command_ns = stamp_ns
+        self._unanswered = self._unanswered and stamp_ns < self.measured_ns
         return True
 
     def advance(self) -> None:
@@ -164,5 +165,5 @@ class Session:
         self._simulation.advance(self._tick_s)
         self._measure()
         at_sample = self.stamp_ns % self._sampling_ns == 0
-        if at_sample and self.command_age_s * NANOSECONDS > 1.5 * self._sampling_ns:
+        if at_sample and self.command_age_s > self.usual_age_s + 0.5e-9 * self._sampling_ns:
             self.missed_commands += 1

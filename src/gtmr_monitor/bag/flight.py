@@ -23,7 +23,13 @@ from gtmr_monitor.bag.format import BagError
 from gtmr_monitor.bag.recording import Change, Recorded, Recording
 from gtmr_monitor.bag.vehicles import read_recordings
 from gtmr_monitor.flight import Flight, MarginHistory
-from gtmr_msgs_py.contract import RAD_PER_TURN, TIGHTENING_COLUMNS
+from gtmr_msgs_py.contract import (
+    GROUND_TRUTH,
+    ODOM,
+    RAD_PER_TURN,
+    TIGHTENING_COLUMNS,
+    TIGHTENING_STAGE,
+)
 from gtmr_msgs_py.wire.stamps import NANOSECONDS
 
 Array = NDArray[np.float64]
@@ -61,7 +67,8 @@ def flight_of(recording: Recording) -> Flight:
 
     Raises BagError if recorded parameters make no tower or helix.
     """
-    path, odometry, true_states = recording.path, recording.odometry, recording.true_states
+    path, odometry = recording.path, recording.odometry
+    truth = recording.ground_truth or odometry
     by_arrival = sorted(odometry, key=lambda item: item.received_ns)
     received_ns = np.array([item.received_ns for item in by_arrival])
     newest_ns = np.maximum.accumulate(np.array([item.stamp_ns for item in by_arrival]))
@@ -95,17 +102,16 @@ def flight_of(recording: Recording) -> Flight:
     if recording.before_reset:
         closest_m = tower.clearance(_positions(recording.before_reset)).min()
         notes.append(
-            f"the simulation began again: of the {len(recording.before_reset)} states "
+            f"the simulation began again: of the {len(recording.before_reset)} odom messages "
             f"before that, which are left out, the least clearance is {closest_m:.3f} m"
         )
     margins = _margins(step_times(recording.tightening), recording.tightening, notes)
     return Flight(
         name=recording.name,
         source=path,
-        t=flight_time([item.stamp_ns for item in true_states]),
-        p=_positions(true_states),
-        eta=_roll_pitch_yaw(true_states),
-        clearance_from=recording.clearance_from,
+        t=flight_time([item.stamp_ns for item in truth]),
+        p=_positions(truth),
+        eta=_roll_pitch_yaw(truth),
         recorded_residual=np.array([item.message.data for item in recording.residuals]),
         t_rotors=flight_time([item.stamp_ns for item in rotors]),
         rotor_speed_hz=_rows([item.message.velocity for item in rotors]) / RAD_PER_TURN,
@@ -117,6 +123,7 @@ def flight_of(recording: Recording) -> Flight:
         tower=tower,
         helix=_model(path, ReferencePath, "helix", (nmpc, sim)),
         coverage=recording.coverage,
+        clearance_from=(GROUND_TRUTH if recording.ground_truth else ODOM).name,
         vehicle=_vehicle((sim, nmpc)),
         guarded=_guarded(
             time_of(recording.guard), [item.message.data for item in recording.guard]
@@ -185,17 +192,31 @@ def _vehicle(candidates: Iterable[dict[str, Any]]) -> Vehicle | None:
 
 
 def _margins(t: Array, items: list[Recorded], notes: list[str]) -> MarginHistory:
-    """Margins of the messages that are as long as the first, which tells the number of stages."""
+    """Margins of the messages that are laid out as the first."""
     rows = [np.asarray(item.message.data) for item in items]
-    columns = len(TIGHTENING_COLUMNS)
-    size = rows[0].size if rows and rows[0].size % columns == 0 else 0
-    kept = [k for k, row in enumerate(rows) if row.size == size > 0]
+    labels = [_labels(item.message) for item in items]
+    columns = labels[0] if labels else TIGHTENING_COLUMNS
+    size = rows[0].size if rows and rows[0].size % len(columns) == 0 else 0
+    kept = [k for k, row in enumerate(rows) if row.size == size > 0 and labels[k] == columns]
     if len(kept) < len(rows):
         notes.append(
             f"{len(rows) - len(kept)} tightening messages are of another layout: left out"
         )
-    table = np.array([rows[k] for k in kept]).reshape(len(kept), size // columns, columns)
-    return MarginHistory(t[kept], table[:, :, :N_ZETA], *np.moveaxis(table[:, :, N_ZETA:], 2, 0))
+    table = np.array([rows[k] for k in kept]).reshape(
+        len(kept), size // len(columns), len(columns)
+    )
+    told = {label: table[:, :, k] for k, label in enumerate(columns)}
+    ours = [told.pop(label, np.zeros(table.shape[:2])) for label in TIGHTENING_COLUMNS]
+    by_channel, (eps_s, alpha_g, slack) = np.stack(ours[:N_ZETA], axis=2), ours[N_ZETA:]
+    return MarginHistory(t[kept], by_channel, eps_s, alpha_g, slack, told)
+
+
+def _labels(message: Any) -> tuple[str, ...]:
+    """Columns of a ``tightening`` message; those of the paper where it does not tell."""
+    dims = message.layout.dim
+    labels = tuple(dims[1].label.split(",")) if len(dims) == 2 else ()
+    is_ours = labels and dims[0].label == TIGHTENING_STAGE and len(set(labels)) == len(labels)
+    return labels if is_ours else TIGHTENING_COLUMNS
 
 
 def _rows(vectors: list[Array]) -> Array:

@@ -85,16 +85,14 @@ class Recording:
     """Fully qualified name of the controller."""
     odometry: list[Recorded]
     """Those whose pose is finite; at least one."""
-    true_states: list[Recorded]
-    """What clearance is taken from: the true states, or the odometry where there are none."""
-    clearance_from: str
-    """Which of both: ``ground_truth`` or ``odom``."""
+    ground_truth: list[Recorded]
+    """The true state, of the same flight; none if that was not recorded."""
     before_reset: list[Recorded]
     """The same, of what was flown before the simulation was last reset."""
     rotor_states: list[Recorded]
     """Speeds [rad/s]."""
     commands: list[Recorded]
-    """The controller's plans, stamped as the odometry that they answer."""
+    """The controller's plans, stamped with the time from which they act."""
     command_order: list[int]
     """Stamps of the commands [ns] in the order in which they were sent."""
     tightening: list[Recorded]

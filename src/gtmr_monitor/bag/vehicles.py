@@ -10,7 +10,6 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -138,7 +137,8 @@ class _Bag:
 
         odometry, before_reset = in_order(contract.ODOM, self._odometry(odom, notes, dropped))
         begin_ns = min(item.received_ns for item in odometry)
-        true_states, true_before = self._truth(namespace, in_order, dropped)
+        truth = self._truth(f"{namespace}/{contract.GROUND_TRUTH.name}", dropped)
+        ground_truth, before_truth = in_order(contract.GROUND_TRUTH, truth)
         sent = recorded(contract.ROTOR_COMMAND)
         commands, _ = in_order(contract.ROTOR_COMMAND, sent)
         stamped = {command.stamp_ns for command in commands}
@@ -160,9 +160,8 @@ class _Bag:
             rotors=rotors,
             node=f"{home}/nmpc",
             odometry=odometry,
-            true_states=true_states or odometry,
-            clearance_from="ground_truth" if true_states else "odom",
-            before_reset=true_before if true_states else before_reset,
+            ground_truth=ground_truth,
+            before_reset=before_truth or before_reset,
             rotor_states=rotor_states,
             commands=commands,
             command_order=[s for s in dict.fromkeys(i.stamp_ns for i in sent) if s in stamped],
@@ -179,17 +178,6 @@ class _Bag:
                 odom, odometry, bool(before_reset), dropped, _told_period_s(told, home)
             ),
         )
-
-    def _truth(
-        self, namespace: str, in_order: Callable[..., Any], dropped: Counter[str]
-    ) -> tuple[list[Recorded], list[Recorded]]:
-        """Read the true states beside an odometry, if any were recorded."""
-        topic = contract.GROUND_TRUTH
-        came = self.of(topic).get(f"{namespace}/{topic.name}", [])
-        finite = [
-            item for item in decoded(came, dropped) if math.isfinite(_sum(item.message.pose.pose))
-        ]
-        return in_order(topic, finite) if finite else ([], [])
 
     def _coverage(
         self,
@@ -238,6 +226,11 @@ class _Bag:
                 topic: n for topic, n in losses.messages.items() if _namespace(topic) not in others
             },
         )
+
+    def _truth(self, topic: str, dropped: Counter[str]) -> list[Recorded]:
+        """Read true states whose pose is finite, as they came."""
+        came = decoded(self.of(contract.GROUND_TRUTH).get(topic, []), dropped)
+        return [item for item in came if math.isfinite(_sum(item.message.pose.pose))]
 
     def _odometry(self, topic: str, notes: list[str], dropped: Counter[str]) -> list[Recorded]:
         """Odometry whose pose is finite, as it came."""

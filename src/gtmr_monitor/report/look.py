@@ -30,14 +30,14 @@ TOWER = "#c9c9c9"
 
 # Okabe and Ito's palette: told apart with any colour vision. Blue and vermillion are its pair of
 # strongest contrast, and differ in lightness too.
-MODE_COLOURS = {"nominal": "#D55E00", "robust": "#0072B2"}
+MODE_COLOURS = {"nominal": "#D55E00", "robust": "#0072B2", "offset_free": "#009E73"}
 OTHER_COLOUR = "#CC79A7"
 """Flights that switched their mode, or do not tell it."""
 GAP_COLOUR = "#bdbdbd"
 """Where the record of a flight has a gap."""
 GUARD_COLOUR = "#E69F00"
 """While the guard was in charge."""
-REPLAYED_COLOUR = "#009E73"
+REPLAYED_COLOUR = "#56B4E9"
 """What a controller would have done that did not fly."""
 Dash = Literal["solid", "dash", "dot"]
 DASHES: tuple[Dash, ...] = ("solid", "dash", "dot")
@@ -57,6 +57,8 @@ _MARGINS = {
     "w_bz": ("wind bias z", "#117733"),
     "eps_s": ("slack term ε", "#1a1a1a"),
     "gust": ("gust", "#bdbdbd"),
+    "noise": ("noise", "#6b6b6b"),
+    "estimate": ("estimate", "#E69F00"),
 }
 MARGIN_LABELS = {name: label for name, (label, _) in _MARGINS.items()}
 MARGIN_COLOURS = {name: colour for name, (_, colour) in _MARGINS.items()}
@@ -100,11 +102,13 @@ def lines(flights: Sequence[Flight]) -> list[Line]:
 def margin_parts(margins: MarginHistory) -> dict[str, Array]:
     """Split the total margin into its parts, in the order in which they are stacked.
 
-    By channel of zeta, then ``eps_s`` and ``gust``, each [m], shape (M, N + 1).
+    By channel of zeta, then ``eps_s``, ``gust`` and further ones that are not all zero,
+    each [m], shape (M, N + 1).
     """
     channels = list(MARGIN_COLOURS)[:9]
+    further = {n: m for n, m in margins.further.items() if n in MARGIN_COLOURS and m.any()}
     parts = {name: margins.by_channel[:, :, j] for j, name in enumerate(channels)}
-    return {**parts, "eps_s": margins.eps_s, "gust": margins.alpha_g}
+    return {**parts, "eps_s": margins.eps_s, "gust": margins.alpha_g, **further}
 
 
 def rotor_colour(rotor: int) -> str:

@@ -92,7 +92,8 @@ def write_report(flights: Sequence[Flight], out_html: str | Path) -> list[Path]:
 
 
 def _page(flown: Flown) -> str:
-    modes = " and ".join(line.label for _, line in flown)
+    labels = [line.label for _, line in flown]
+    modes = " and ".join(filter(None, (", ".join(labels[:-1]), labels[-1])))
     sections = "\n".join(_section(name, flown) for name in CHARTS)
     foreseen = any(flight.predictions is not None for flight, _ in flown)
     warnings = "".join(
@@ -125,6 +126,12 @@ def _page(flown: Flown) -> str:
         "its plans foresee are its own.</p>"
         for flight, line in flown
         if flight.replayed
+    )
+    warnings += "".join(
+        f"<p>{escape(line.label)}: clearance and motion are of the measured odometry, noise "
+        "included: there was no ground_truth.</p>"
+        for flight, line in flown
+        if flight.clearance_from == "odom"
     )
     body = f"""{warnings}
 <div class="tables">

@@ -51,7 +51,11 @@ THRUST = Color(0.902, 0.624, 0.0)
 ALARM = Color(0.9, 0.1, 0.1)
 CLOCKWISE = Color(0.0, 0.62, 0.451, 0.8)
 COUNTER_CLOCKWISE = Color(0.8, 0.475, 0.655, 0.8)
-MODE_COLORS = {"nominal": Color(0.835, 0.369, 0.0), "robust": Color(0.0, 0.447, 0.698)}
+MODE_COLORS = {
+    "nominal": Color(0.835, 0.369, 0.0),
+    "robust": Color(0.0, 0.447, 0.698),
+    "offset_free": Color(0.0, 0.62, 0.451),
+}
 """Colour of what belongs to a controller mode, the same as in the report."""
 
 NAMESPACES = (

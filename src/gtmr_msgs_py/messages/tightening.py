@@ -9,7 +9,8 @@
 """The margins of a controller step, stage by stage, as std_msgs/Float64MultiArray."""
 
 from array import array
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,45 +34,71 @@ class PublishedTightening:
     """Gust margin [m], shape (N + 1,)."""
     slack: NDArray[np.float64]
     """Violation of the tightened clearance [m], shape (N + 1,)."""
+    further: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    """Further margins by label, such as ``noise`` [m], shape (N + 1,) each."""
 
     @property
     def alpha_p(self) -> NDArray[np.float64]:
         """Parametric margin, eq. (12), eps_s included [m], shape (N + 1,)."""
-        total: NDArray[np.float64] = self.by_channel.sum(axis=1) + self.eps_s
+        total: NDArray[np.float64] = self.by_channel.sum(axis=-1) + self.eps_s
         return total
+
+    @property
+    def total(self) -> NDArray[np.float64]:
+        """By how much the clearance is tightened, of whatever cause [m], shape (N + 1,)."""
+        total: NDArray[np.float64] = self.alpha_p + self.alpha_g
+        return total + sum(self.further.values())
 
 
 def encode(
-    by_channel: ArrayLike, eps_s: ArrayLike, alpha_g: ArrayLike, slack: ArrayLike
+    by_channel: ArrayLike,
+    eps_s: ArrayLike,
+    alpha_g: ArrayLike,
+    slack: ArrayLike,
+    further: Mapping[str, ArrayLike] | None = None,
 ) -> Float64MultiArray:
     """Make the message of the margins [m]: N + 1 rows of the columns that a label names.
 
     Terms of alpha_p without eps_s have shape (N + 1, 9), eps_s, the constant term, () or (N + 1,),
-    alpha_g and slack, the violation of the tightened clearance, (N + 1,).
+    alpha_g and slack, the violation of the tightened clearance, (N + 1,), and so have further
+    margins, by label.
     """
+    more = further or {}
+    labels = (*COLUMNS, *more)
     terms = np.asarray(by_channel, dtype=float)
-    rows = np.empty((len(terms), len(COLUMNS)))
+    rows = np.empty((len(terms), len(labels)))
     rows[:, :N_ZETA] = terms
-    for column, values in enumerate((eps_s, alpha_g, slack), start=N_ZETA):
+    for column, values in enumerate((eps_s, alpha_g, slack, *more.values()), start=N_ZETA):
         rows[:, column] = values
     msg = Float64MultiArray(data=array("d", rows.ravel()))
     msg.layout.dim = [
         MultiArrayDimension(label=STAGE, size=len(rows), stride=rows.size),
-        MultiArrayDimension(label=",".join(COLUMNS), size=len(COLUMNS), stride=len(COLUMNS)),
+        MultiArrayDimension(label=",".join(labels), size=len(labels), stride=len(labels)),
     ]
     return msg
 
 
 def decode(msg: Float64MultiArray) -> PublishedTightening:
-    """Read the margins; raises MessageError if labels or sizes are not those of `encode`."""
+    """Read the margins by the labels of their columns; a margin without a column is zero.
+
+    Raises MessageError if labels or sizes are not as `encode` makes them.
+    """
     labels = [dim.label for dim in msg.layout.dim]
-    if labels != [STAGE, ",".join(COLUMNS)]:
+    columns = labels[1].split(",") if len(labels) == 2 and labels[0] == STAGE else []
+    if not set(columns) & set(COLUMNS) or len(set(columns)) < len(columns):
         raise MessageError(f"tightening is labelled {labels}: expected {STAGE} and {COLUMNS}")
-    rows = np.array(msg.data)
-    if rows.size != msg.layout.dim[0].size * len(COLUMNS):
+    values, stages = np.array(msg.data), msg.layout.dim[0].size
+    if values.size != stages * len(columns):
         raise MessageError(
-            f"tightening has {rows.size} numbers: expected {msg.layout.dim[0].size} stages of "
-            f"{len(COLUMNS)}"
+            f"tightening has {values.size} numbers: expected {stages} stages of {len(columns)}"
         )
-    rows = rows.reshape(-1, len(COLUMNS))
-    return PublishedTightening(rows[:, :N_ZETA], *rows[:, N_ZETA:].T)
+    return by_label(values.reshape(stages, len(columns)), columns)
+
+
+def by_label(rows: NDArray[np.float64], columns: Sequence[str]) -> PublishedTightening:
+    """Sort margins [m], shape (..., N + 1, columns), by the labels of their columns."""
+    told = {label: rows[..., k] for k, label in enumerate(columns)}
+    zero = np.zeros(rows.shape[:-1])
+    ours = [told.pop(label, zero) for label in COLUMNS]
+    by_channel, (eps_s, alpha_g, slack) = np.stack(ours[:N_ZETA], axis=-1), ours[N_ZETA:]
+    return PublishedTightening(by_channel, eps_s, alpha_g, slack, told)

@@ -26,7 +26,7 @@ from rclpy.parameter import Parameter
 
 from gtmr_model import ConfigError, YamlModel
 from gtmr_msgs_py.contract import BASE_LINK, MAP, Frames
-from gtmr_msgs_py.node.declarations import declarations
+from gtmr_msgs_py.node.declarations import Declaration, declarations
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -54,7 +54,9 @@ class ModelParameters(Generic[M]):
     Its defaults are theirs; for ``presets`` and ``dynamic`` see `declarations`, all parameters
     that are not dynamic are read-only. ``settle`` maps the configuration at start to the one to
     use, for values that are drawn or computed once; what it changes is set before parameters
-    become read-only. ``on_change`` gets the new configuration after a dynamic parameter was set.
+    become read-only. ``base`` is the parameter, if there is one, that names a preset or a YAML
+    file of the whole configuration, whose values are the others' defaults. ``on_change`` gets the
+    new configuration after a dynamic parameter was set.
 
     Raises ConfigError if a value from the command line or a parameter file has a wrong type or is
     refused.
@@ -68,17 +70,18 @@ class ModelParameters(Generic[M]):
         dynamic: Collection[str] = (),
         settle: Callable[[M], M] | None = None,
         on_change: Callable[[M], None] | None = None,
+        base: str = "",
     ) -> None:
         self._node = node
         self._model_type = model_type
-        self._presets = presets or {}
+        self._presets = dict(presets or {})
         self._loaded: dict[tuple[str, str], YamlModel] = {}
         self._on_change = on_change
         self._declarations = {
             declaration.name: declaration
-            for declaration in declarations(model_type(), self._presets, dynamic)
+            for declaration in declarations(self._defaults(base), self._presets, dynamic)
         }
-        self._declare()
+        self._declare(self._declarations)
         self.value: M = self._build({})
         """The configuration in force."""
         if settle is not None:
@@ -87,8 +90,26 @@ class ModelParameters(Generic[M]):
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
 
-    def _declare(self) -> None:
-        for name, declaration in self._declarations.items():
+    def _defaults(self, base: str) -> M:
+        """Read the defaults, and take the presets that they name."""
+        usual = self._model_type()
+        if not base:
+            return usual
+        (told,) = [d for d in declarations(usual, self._presets) if d.name == base]
+        self._declare({base: told})
+        chosen = str(self._node.get_parameter(base).value)
+        loaded = self._model_type.load(base, chosen)
+        for name in self._presets:
+            if name in loaded.model_fields_set:
+                # Named in the file or not, it is the one that was read there.
+                self._presets[name] = chosen
+                self._loaded[name, chosen] = getattr(loaded, name)
+        return loaded.model_copy(update={base: chosen})
+
+    def _declare(self, declarations: Mapping[str, Declaration]) -> None:
+        for name, declaration in declarations.items():
+            if self._node.has_parameter(name):
+                continue
             # Read-only comes last: until then values may still be settled.
             descriptor = copy.deepcopy(declaration.descriptor)
             descriptor.read_only = False

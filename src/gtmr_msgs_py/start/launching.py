@@ -105,6 +105,13 @@ EVERYWHERE = {
 COMMON = {
     **EVERYWHERE,
     "vehicle": Argument("Name of a preset, or path of a .yaml file", parameter_of=("sim", "nmpc")),
+    "world": Argument(
+        "What the vehicle meets: name of a preset, or path of a .yaml file", parameter_of=("sim",)
+    ),
+    "controller": Argument(
+        "Name of a preset, or path of a .yaml file, as that of its world",
+        parameter_of=("nmpc",),
+    ),
     "zeta": Argument("True mismatch and wind bias, 9 numbers", parameter_of=("sim",), kind=list),
     "sample_zeta": Argument(
         "Whether to draw them from the uncertainty set", parameter_of=("sim",), kind=bool

@@ -20,12 +20,16 @@ from gtmr_model import Vehicle
 from gtmr_model.dynamics import ATTITUDE, POSITION, RATE, VELOCITY
 from gtmr_model.vehicle import GRAVITY_M_S2
 from gtmr_msgs_py.wire.message_error import MessageError
+from gtmr_nmpc.config import OdometryNoise
 
 Array = NDArray[np.float64]
 
 NOISE_M, NOISE_M_S, NOISE_RAD, NOISE_RAD_S = 0.2, 0.5, 0.2, 0.5
-"""What an estimator may add between two odometries: position, speed, angle, body rate. Ten times
+"""What any estimator may add between two odometries: position, speed, angle, body rate. Ten times
 the noise of a good one; a jump within them is no worse than noise."""
+DEVIATIONS = 10.0
+"""What one of stated noise may add, in its standard deviations [-]: of six numbers that are two
+measurements of three coordinates, not once in the life of a vehicle."""
 MARGIN = 2.0
 """Most acceleration that is believed, in those that all rotors at their limit give the lightest
 vehicle, for what no model has: wind, walls, contact [-]."""
@@ -59,8 +63,13 @@ class Reach:
 class Plausibility:
     """Sets odometry aside that jumps as no vehicle can; believes it if it lasts."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, noise: OdometryNoise | None = None) -> None:
         self._reach = Reach.of(vehicle)
+        told = OdometryNoise() if noise is None else noise
+        self._noise_m = max(NOISE_M, DEVIATIONS * told.position_m)
+        self._noise_m_s = max(NOISE_M_S, DEVIATIONS * told.velocity_m_s)
+        self._noise_rad = max(NOISE_RAD, DEVIATIONS * told.attitude_rad)
+        self._noise_rad_s = max(NOISE_RAD_S, DEVIATIONS * told.rate_rad_s)
         self.reset()
 
     def reset(self) -> None:
@@ -99,13 +108,13 @@ class Plausibility:
         off_rad = _angle_between(x_0[ATTITUDE], x[ATTITUDE])
         off_rad_s = math.dist(x[RATE], x_0[RATE])
         turned_rad = dt * math.hypot(*x_0[RATE])
-        if off_m > NOISE_M + NOISE_M_S * dt + 0.5 * reach.linear_m_s2 * dt * dt:
+        if off_m > self._noise_m + self._noise_m_s * dt + 0.5 * reach.linear_m_s2 * dt * dt:
             return f"jumps by {off_m:.3g} m"
-        if off_m_s > NOISE_M_S + reach.linear_m_s2 * dt:
+        if off_m_s > self._noise_m_s + reach.linear_m_s2 * dt:
             return f"jumps by {off_m_s:.3g} m/s"
-        if off_rad > NOISE_RAD + turned_rad + 0.5 * reach.angular_rad_s2 * dt * dt:
+        if off_rad > self._noise_rad + turned_rad + 0.5 * reach.angular_rad_s2 * dt * dt:
             return f"jumps by {off_rad:.3g} rad"
-        if off_rad_s > NOISE_RAD_S + reach.angular_rad_s2 * dt:
+        if off_rad_s > self._noise_rad_s + reach.angular_rad_s2 * dt:
             return f"jumps by {off_rad_s:.3g} rad/s"
         return ""
 

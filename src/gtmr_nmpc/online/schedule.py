@@ -30,6 +30,9 @@ class Schedule:
     EVENNESS = 10
     """An odometry within T_s / 10 of the instant that was prepared for is taken as that instant,
     so that an uneven estimator does not waste the preparation."""
+    SELDOM = 0.6
+    """An odometry this share of T_s or more after the last one, if that was answered, is a step:
+    it comes at the controller's own rate, but for the jitter of its delay."""
 
     def __init__(self, period_ns: int) -> None:
         self.period_ns = period_ns
@@ -38,6 +41,7 @@ class Schedule:
         self.skipped = 0
         """How many steps had no odometry, or came too late."""
         self._answered_ns: int | None = None
+        self._heard_ns = 0
 
     @property
     def next_ns(self) -> int:
@@ -51,16 +55,19 @@ class Schedule:
         again.
         """
         tolerance_ns = self.period_ns // self.EVENNESS
+        before_ns, self._heard_ns = self._heard_ns, stamp_ns
+        since_ns = stamp_ns - before_ns
+        is_seldom = before_ns == self._answered_ns and since_ns >= self.SELDOM * self.period_ns
         if begins_again or self._answered_ns is None:
             self.time_ns, due = stamp_ns, Due.RESTART
         elif stamp_ns == self._answered_ns:
             return Due.REPEAT
-        elif stamp_ns < self.next_ns - tolerance_ns:
+        elif stamp_ns < self.next_ns - tolerance_ns and not is_seldom:
             return Due.NOTHING
         else:
             late_ns = stamp_ns - self.next_ns
             self.skipped += max(0, late_ns) // self.period_ns
-            self.time_ns = self.next_ns if late_ns <= tolerance_ns else stamp_ns
+            self.time_ns = self.next_ns if abs(late_ns) <= tolerance_ns else stamp_ns
             due = Due.STEP
         self._answered_ns = stamp_ns
         return due

@@ -103,6 +103,7 @@ def demo_command(
             "solve_ms": flight.solve_statistics,
             "deadline_misses": flight.deadline_misses,
             "bag": str(bag),
+            "clearance_from": flight.clearance_from,
             "coverage": flight.coverage.as_json(),
             "guard_time_s": flight.guard_time_s,
         }

@@ -27,6 +27,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Range
 
+from gtmr_model.yaml_model import presets_of
 from gtmr_msgs_py import topics
 from gtmr_msgs_py.start.environment import ros_environment
 from gtmr_msgs_py.wire import stamps
@@ -71,7 +72,9 @@ def fly_in_ros(
     zeta = ", ".join(str(float(value)) for value in (*(0.0,) * 6, *WIND_BIAS_N))
     with _nodes(domain_id, folder) as start:
         start("gtmr_monitor.node", bag=str(bag))
-        start("gtmr_nmpc.node", mode=mode, recorders="1")
+        # A world that has one is flown with the controller that knows of it.
+        controller = world if world in presets_of("controller") else "default"
+        start("gtmr_nmpc.node", mode=mode, recorders="1", controller=controller)
         # In lockstep the flight is the same on a busy machine, only slower.
         sim = start(
             "gtmr_sim.node",

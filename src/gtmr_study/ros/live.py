@@ -120,7 +120,7 @@ class _Flight:
             _, planned = path.decode(plan)
             here, turned = self._pose
             tightened = tightening.decode(margins)
-            margins_m = tightened.alpha_p + tightened.alpha_g
+            margins_m = tightened.total
             self._margin_m = float(margins_m.max())
             # Seen from the vehicle the plan hardly moves, so that even a browser that draws
             # lines later than poses shows the two together.

@@ -30,7 +30,7 @@ from gtmr_msgs_py import topics
 from gtmr_msgs_py.start.environment import ros_environment
 from gtmr_msgs_py.wire import stamps
 
-PLAYED = (topics.ODOM, topics.ROTOR_STATES, topics.CLOCK)
+PLAYED = (topics.ODOM, topics.GROUND_TRUTH, topics.ROTOR_STATES, topics.CLOCK)
 """What is played by default: what a vehicle gives to the controller and the monitor. Their own
 topics stay out, so that what is heard of them is their answer to this playback."""
 WAIT_S = 5.0

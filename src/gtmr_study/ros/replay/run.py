@@ -59,7 +59,7 @@ def replay(
     notes = list(recording.notes)
     states = usable_states(recording, notes)
     delay_ns = stamps.nanoseconds(first.delay_s)
-    occasions = _occasions(recording, states, notes, delay_ns)
+    occasions = _occasions(recording, states, delay_ns, notes)
     # The time of somebody else's flight has nothing to do with that of the reference.
     begin_ns = 0 if recording.commands else states[0].stamp_ns
     speeds = RotorSpeeds(recording, first.vehicle, parameters.max_stamp_difference_ns)
@@ -73,11 +73,12 @@ def replay(
         if due in (Due.STEP, Due.RESTART):
             recorded = _plan(command, first.vehicle.n_rotors)
             xi, source = speeds.at(state, recorded)
-            t, now = (stamps.seconds(schedule.time_ns + later) for later in (0, delay_ns))
-            solution = controller.step(t, np.r_[state.rigid_body, xi], now=now)
+            t = stamps.seconds(schedule.time_ns)
+            x = np.r_[state.rigid_body, xi]
+            solution = controller.step(t, x, now=t + controller.config.delay_s)
             steps.append(_step(state.stamp_ns, controller, source, solution, recorded))
             # As the node does: a step then takes the time that it takes in flight.
-            controller.prepare(stamps.seconds(schedule.next_ns + delay_ns))
+            controller.prepare(stamps.seconds(schedule.next_ns) + controller.config.delay_s)
         if on_step is not None:
             on_step(k, len(occasions))
     notes += _remarks(recording, steps, speeds)
@@ -85,7 +86,7 @@ def replay(
 
 
 def _occasions(
-    recording: Recording, states: list[State], notes: list[str], delay_ns: int
+    recording: Recording, states: list[State], delay_ns: int, notes: list[str]
 ) -> list[tuple[State, Recorded | None]]:
     """List the odometry to plan from, with the command that answered it if there is one."""
     if not recording.commands:
