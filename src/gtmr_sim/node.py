@@ -226,7 +226,8 @@ class SimNode(SuiteNode):
 
     def _tick_if_unpaced(self) -> None:
         """Without a pace, time goes on as soon as it may."""
-        if self._settings.value.real_time_factor == 0.0:
+        # Where nothing new was measured no command comes, and nothing else would wake the node.
+        while self._settings.value.real_time_factor == 0.0 and self._session.ready:
             self._tick()
 
     def _tick(self) -> None:
