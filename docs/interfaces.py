@@ -51,6 +51,8 @@ takes; what is not given is left to the parameter file.
 | `params_file:=` | all | `paper`, `wind`, `worst-case`, or the path of a .yaml file |
 | `mode:=` | inspection, replay | mode of the controller at the start |
 | `vehicle:=` | all | name of a preset, or path of a .yaml file |
+| `world:=` | all | what the vehicle meets: name of a preset, or path of a .yaml file |
+| `controller:=` | all | name of a preset, or path of a .yaml file, as that of its world |
 | `bag:=` | all | new folder to record into; for replay the bag to play |
 | `record:=` | replay | new folder to record into |
 | `rate:=`, `loop:=` | replay | how many times as fast; whether to begin again |

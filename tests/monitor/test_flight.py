@@ -61,7 +61,7 @@ def test_what_came_before_a_reset_is_left_out_but_told(tmp_path):
     assert not flight.residual_statistics["violated"]
     (note,) = flight.notes
     assert "began again" in note
-    assert "100 states" in note
+    assert "100 odom" in note
     assert "0.100 m" in note
     assert flight.late == {}
 

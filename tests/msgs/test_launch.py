@@ -37,6 +37,8 @@ TEXTS = {
     "mode": "nominal",
     "lockstep": "true",
     "vehicle": "octo",
+    "world": "field",
+    "controller": "field",
     "zeta": "[0, 0, 0, 0, 0, 0, 0.6, 0.4, 0]",
     "sample_zeta": "true",
     "seed": "3",
