@@ -23,7 +23,7 @@ from gtmr_sim.plant import Plant
 from gtmr_sim.registry import EFFECTS
 from gtmr_sim.scenario import Scenario, whole_steps
 from gtmr_sim.worlds.sensor import Sensor
-from gtmr_sim.worlds.wind import make_wind, wind_force
+from gtmr_sim.worlds.wind import hover_drag, make_wind
 
 Array = NDArray[np.float64]
 
@@ -141,6 +141,8 @@ class Simulation:
         scenario = self.scenario
         self._wind = None
         if scenario.world.wind is not None:
+            wind, zeta = scenario.world.wind, scenario.zeta_array
+            self._hover_drag = hover_drag(wind, zeta, scenario.vehicle)
             self._wind = make_wind(
                 scenario.world.wind,
                 scenario.zeta_array,
@@ -187,11 +189,9 @@ class Simulation:
 
         In a world without a wind field it is w_b of eq. (3).
         """
-        scenario = self.scenario
-        zeta = scenario.zeta_array
-        if scenario.world.wind is None:
-            return zeta[6:9]
-        return wind_force(scenario.world.wind, self.plant.air_m_s, zeta, scenario.vehicle)
+        if self._wind is None:
+            return self.scenario.zeta_array[6:9]
+        return np.asarray(self._hover_drag @ self.plant.air_m_s)
 
     @property
     def least_clearance_m(self) -> float:

@@ -164,8 +164,3 @@ def wind_effect(wind: Wind, x: Any, zeta: Any, air: Any, vehicle: Vehicle) -> tu
             blades += drag
             torque += ca.cross(arm, drag)
     return force + to_world @ blades, torque
-
-
-def wind_force(wind: Wind, air: Array, zeta: Array, vehicle: Vehicle) -> Array:
-    """Force of the wind on the level vehicle at nominal hover, world frame [N], shape (3,)."""
-    return hover_drag(wind, zeta, vehicle) @ air
