@@ -281,9 +281,7 @@ class SimNode(SuiteNode):
         return self._listeners() >= 1 + self._settings.value.recorders
 
     def _listeners(self) -> int:
-        # Of the truth the controller knows nothing.
-        counts = [p.get_subscription_count() for p in (self._odometry, self._rotor_states)]
-        return min(*counts, 1 + self._truth.get_subscription_count())
+        return min(p.get_subscription_count() for p in (self._odometry, self._rotor_states))
 
     def _missing(self) -> str:
         """Say who keeps the flight from starting."""

@@ -99,7 +99,7 @@ def test_the_nodes_answer_a_playback_as_they_answered_the_flight(graph):
     with playing(graph, bag, "--rate", "0.5") as process:
         graph.wait_until(lambda: process.poll() is not None)
         assert process.returncode == 0
-        assert "Playing /clock, /odom, /rotor_states" in process.stdout.read()
+        assert "Playing /clock, /ground_truth, /odom, /rotor_states" in process.stdout.read()
         assert process.stderr.read() == ""
 
     answered = set(heard_stamps(graph, "rotor_command"))
@@ -151,7 +151,7 @@ def test_played_to_nobody_it_says_so(graph, odometry_alone):
 
 def test_what_the_nodes_publish_themselves_is_played_only_on_request():
     bag = recorded("lockstep")
-    assert set(read_playlist(bag).types) == {"/odom", "/rotor_states", "/clock"}
+    assert set(read_playlist(bag).types) == {"/odom", "/ground_truth", "/rotor_states", "/clock"}
     assert {"/rotor_command", "/tightening"} < set(read_playlist(bag, everything=True).types)
 
 

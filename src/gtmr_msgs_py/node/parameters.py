@@ -13,6 +13,7 @@ from __future__ import annotations
 import copy
 from array import array
 from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from pydantic import Field
@@ -25,6 +26,8 @@ from rclpy.exceptions import (
 from rclpy.parameter import Parameter
 
 from gtmr_model import ConfigError, YamlModel
+from gtmr_model.yaml_file import read_yaml
+from gtmr_model.yaml_model import presets_of
 from gtmr_msgs_py.contract import BASE_LINK, MAP, Frames
 from gtmr_msgs_py.node.declarations import Declaration, declarations
 
@@ -99,11 +102,14 @@ class ModelParameters(Generic[M]):
         self._declare({base: told})
         chosen = str(self._node.get_parameter(base).value)
         loaded = self._model_type.load(base, chosen)
+        known = presets_of(base)
+        written = read_yaml(known.get(chosen, Path(chosen)))
         for name in self._presets:
             if name in loaded.model_fields_set:
-                # Named in the file or not, it is the one that was read there.
-                self._presets[name] = chosen
-                self._loaded[name, chosen] = getattr(loaded, name)
+                # If the file does not name it, it is the one that was read there.
+                named = written.get(name)
+                self._presets[name] = named if isinstance(named, str) else chosen
+                self._loaded[name, self._presets[name]] = getattr(loaded, name)
         return loaded.model_copy(update={base: chosen})
 
     def _declare(self, declarations: Mapping[str, Declaration]) -> None:
