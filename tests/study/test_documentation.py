@@ -9,6 +9,7 @@
 """What README and the documentation name is there, and asking for help costs little."""
 
 import importlib
+import json
 import re
 import runpy
 import subprocess
@@ -74,3 +75,12 @@ def test_mistakes_made_on_purpose_can_still_be_made_and_are_those_in_the_docs():
         assert (ROOT / name).read_text(encoding="utf-8").count(text) == 1, (name, text)
         file, _, function = test.partition("::")
         assert f"def {function.partition('[')[0]}" in (ROOT / file).read_text(encoding="utf-8")
+
+
+def test_the_page_of_worlds_says_what_was_measured():
+    module = runpy.run_path(str(ROOT / "docs" / "field.py"))
+    kept = json.loads((ROOT / "docs" / "field" / "results.json").read_text(encoding="utf-8"))
+    text = (ROOT / "docs" / "field.md").read_text(encoding="utf-8")
+    assert module["page"](text, kept) == text
+    flown = [told for told in kept.values() if told.get("mode") == "offset_free"]
+    assert len(flown) >= 7
