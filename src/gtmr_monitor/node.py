@@ -288,12 +288,15 @@ class MonitorNode(SuiteNode):
         elif vehicle.is_silent and not self.count_publishers(vehicle.truth_name):
             # Who told the truth has gone, and the flight goes on without.
             vehicle.take_from(topics.ODOM)
-        if source is not vehicle.source:
-            return
-        if vehicle.silence is not None:
+        is_source = source is vehicle.source
+        if is_source and vehicle.silence is not None:
             vehicle.silence.heard()
         try:
-            self._watch(vehicle, data, came_ns)
+            if is_source:
+                self._watch(vehicle, data, came_ns)
+            else:
+                # Not needed, but one that cannot be used is told of all the same.
+                odometry.unpack(data, self._settings.value.frames)
         except MessageError as error:
             vehicle.drops.add(error)
 
