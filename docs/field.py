@@ -99,11 +99,13 @@ def page(text: str, kept: dict[str, Any]) -> str:
     """Put tables between their markers."""
     attacks = [told for told in kept.values() if "flights" in told]
     parts = [told for told in kept.values() if told["name"].startswith("part-")]
-    rest = [t for t in kept.values() if t not in attacks and t not in parts]
+    breaks = [told for told in kept.values() if told["name"].startswith("break-")]
+    rest = [t for t in kept.values() if t not in [*attacks, *parts, *breaks]]
     rest.sort(key=place)
     tables = {
         "flights": table(FLIGHTS, [flight_row(told) for told in rest]),
         "parts": table(PARTS, [part_row(told) for told in parts]),
+        "breaks": table(PARTS, [break_row(told) for told in breaks]),
         "attacks": table(ATTACKS, [attack_row(told) for told in attacks]),
     }
     for name, rows in tables.items():
@@ -126,6 +128,11 @@ def place(told: dict[str, Any]) -> tuple[Any, ...]:
     return WORLDS.index(world_of(told)), -told["d_ref_m"], *plan
 
 
+BREAKS = {
+    "break-lag-04": "motors lag by 40 ms, 20 ms are known",
+    "break-lag-06": "motors lag by 60 ms, 20 ms are known",
+    "break-wall-2": "a wall of four times the effect (2 N, 20 %)",
+}
 SAID = {
     "part-full": "the preset `field`, mode",
     "part-no-lead": "no lead for the motors' lag",
@@ -133,7 +140,7 @@ SAID = {
     "part-paper-margin": "the paper's margin beside the observer",
     "part-softer": "dearer inputs and accelerations",
     "part-no-observer": "these weights without observer (mode `nominal`)",
-    "part-no-prediction": "the late state taken for the present one",
+    "part-no-prediction": "no prediction: the plan begins at the stamp, and is entered late",
 }
 
 
@@ -147,6 +154,14 @@ def part_row(told: dict[str, Any]) -> list[str]:
     modes = f" --modes {mode}" if mode else ""
     options = f"--world field --d-ref 0.30{modes}{file} --trials 40 --duration 20 --seed 1"
     return [said, *figures(told), f"`gtmr campaign {options} --out DIR`"]
+
+
+def break_row(told: dict[str, Any]) -> list[str]:
+    """Write a row of the table of what breaks it."""
+    name = told["name"].partition(" ")[0]
+    options = f"--world docs/field/{name[6:]}.yaml --controller field --d-ref 0.30"
+    options += " --modes offset_free --trials 40 --duration 20 --seed 1"
+    return [BREAKS[name], *figures(told), f"`gtmr campaign {options} --out DIR`"]
 
 
 def attack_row(told: dict[str, Any]) -> list[str]:
