@@ -14,7 +14,7 @@ the clearance is read off the responses of this loop.
 
 import itertools
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from gtmr_model.dynamics import ATTITUDE, POSITION, RATE, ROTORS, VELOCITY, discrete_step, symbols
 from gtmr_model.uncertainty import N_ZETA
+from gtmr_model.vehicle import Vehicle
 from gtmr_nmpc import ocp
 from gtmr_nmpc.config import ControllerConfig, Mode
 from gtmr_nmpc.margins import Deviations
@@ -82,17 +83,24 @@ def _hover(config: ControllerConfig, zeta: Array) -> Array:
 
 
 @lru_cache(maxsize=8)
-def _linearisation(config: ControllerConfig) -> ca.Function:
-    x, u, zeta, force = symbols(config.vehicle)
+def _linearisation(vehicle: Vehicle, step_s: float) -> ca.Function:
+    x, u, zeta, force = symbols(vehicle)
     torque = ca.SX.sym("torque", 3)
-    step = discrete_step(x, u, zeta, force, config.vehicle, config.sampling_time_s, torque)
+    step = discrete_step(x, u, zeta, force, vehicle, step_s, torque)
     jacobians = [ca.densify(ca.jacobian(step, of)) for of in (x, u, force, torque, zeta)]
     return ca.Function("about_hover", [x, u, zeta, force, torque], jacobians)
 
 
+@lru_cache(maxsize=8)
+def _output_jacobian(vehicle: Vehicle) -> ca.Function:
+    h, x = ocp.output_map(ControllerConfig(vehicle=vehicle)), ca.SX.sym("x", vehicle.n_x)
+    return ca.Function("dh", [x], [ca.densify(ca.jacobian(h(x), x))])
+
+
 def _model(config: ControllerConfig, zeta: Array) -> _Model:
     x, u = _hover(config, zeta), np.zeros(config.vehicle.n_rotors)
-    jacobians = _linearisation(config)(x, u, zeta, np.zeros(3), np.zeros(3))
+    about = _linearisation(config.vehicle, config.sampling_time_s)
+    jacobians = about(x, u, zeta, np.zeros(3), np.zeros(3))
     return _Model(*(np.asarray(jacobian) for jacobian in jacobians))
 
 
@@ -108,14 +116,19 @@ def _decay(config: ControllerConfig) -> Array:
     return decay
 
 
-def _plan(config: ControllerConfig, radial: Array) -> _Plan:
+def _radial(config: ControllerConfig) -> Array:
+    start = config.helix.initial_state(config.tower, config.vehicle)
+    return np.asarray(-config.clearance_constraint.gradient(start[None])[0])
+
+
+@lru_cache(maxsize=4)
+def _plan(config: ControllerConfig) -> _Plan:
     """Solve the problem without inequalities, about hover and the reference."""
+    radial = _radial(config)
     n, n_x, n_u = config.horizon, config.vehicle.n_x, config.vehicle.n_rotors
     model = _model(config, np.zeros(N_ZETA))
     x_hover = _hover(config, np.zeros(N_ZETA))
-    h = ocp.output_map(config)
-    symbol = ca.SX.sym("x", n_x)
-    dh = np.asarray(ca.Function("dh", [symbol], [ca.jacobian(h(symbol), symbol)])(x_hover))
+    dh = np.asarray(_output_jacobian(config.vehicle)(x_hover))
     h_force = np.zeros((ocp.N_H, 3))
     h_force[6:9] = np.eye(3) / config.vehicle.mass_kg
     h_theta = np.hstack([h_force, h_force, np.zeros((ocp.N_H, 3))])
@@ -170,13 +183,12 @@ class ClosedLoop:
         self._observes = mode == "offset_free"
         own = {"weights": config.offset_free.weights} if self._observes else {}
         self._config = config = config.model_copy(update=own)
-        start = config.helix.initial_state(config.tower, config.vehicle)
-        self.radial: Array = -config.clearance_constraint.gradient(start[None])[0]
+        self.radial: Array = _radial(config)
         """Gradient of the clearance at the start of the reference, away from the tower, in the
         states that it depends on: p, and eta for the airframe, shape (3,) or (6,)."""
         self._plant = _model(config, zeta)
         self._believed = _model(config, np.zeros(N_ZETA))
-        self._plan = _plan(config, self.radial)
+        self._plan = _plan(config)
         self._delay = round(config.delay_s / config.sampling_time_s)
 
     def gusts(self) -> Responses:
@@ -196,41 +208,62 @@ class ClosedLoop:
         return self._run(_Excitation(nothing, self._plant.e_zeta, np.zeros((12, N_ZETA))))
 
     def _run(self, excitation: _Excitation) -> Responses:
-        config, plan, believed = self._config, self._plan, self._believed
-        columns = excitation.push.shape[1]
-        x = np.zeros((config.vehicle.n_x, columns))
-        # Oldest first: what was measured and done since, as far back as the delay reaches.
-        past_x = [x] * (self._delay + 1)
-        past_u = [np.zeros((config.vehicle.n_rotors, columns))] * self._delay
-        estimate, theta = np.zeros((12, columns)), np.zeros((N_THETA, columns))
-        radial, planned = [], []
+        n_x, columns = excitation.push.shape
+        advance, disturb = self._matrices
+        state = np.zeros((self._size, columns))
+        told = np.zeros((RESPONSE_STEPS, len(advance) - self._size, columns))
         for k in range(RESPONSE_STEPS):
-            radial.append(self.radial @ x[: len(self.radial)])
-            past_x = [*past_x[1:], x]
-            measured = past_x[0].copy()
-            measured[BODY] += excitation.noise * (k == self._delay)
-            known = theta
-            if self._observes:
-                estimate, theta = self._correct(estimate, theta, measured[BODY])
-                now = np.vstack([estimate, measured[ROTORS]])
-                # To the next measurement, by the input that acted then.
-                u = past_u[0] if past_u else None
-            else:
-                now, u = measured, None
-            for sent in past_u:
-                now = believed.a @ now + believed.b @ sent + _theta_input(believed) @ theta
-            planned.append(plan.radial_x @ now + plan.radial_theta @ known)
-            command = plan.u_x @ now + plan.u_theta @ known
-            if self._observes:
-                at = np.vstack([estimate, measured[ROTORS]])
-                acted = command if u is None else u
-                moved = believed.a @ at + believed.b @ acted + _theta_input(believed) @ theta
-                estimate = moved[BODY]
-                theta = _decay(config)[:, None] * theta
-            past_u = [*past_u[1:], command] if past_u else past_u
-            x = self._plant.a @ x + self._plant.b @ command + excitation.steady
-            x = x + excitation.push * (k == 0)
-        return self._responses(np.array(radial), np.array(planned))
+            after = advance @ state
+            if k == self._delay:
+                after += disturb @ excitation.noise
+            state, told[k] = np.split(after, [self._size])
+            state[:n_x] += excitation.steady
+            if k == 0:
+                state[:n_x] += excitation.push
+        return self._responses(told[:, 0], told[:, 1:])
+
+    @property
+    def _size(self) -> int:
+        """Length of the loop's state: x now and as far back as the delay, inputs, estimates."""
+        n_x, n_u = self._config.vehicle.n_x, self._config.vehicle.n_rotors
+        return n_x * (1 + self._delay) + n_u * self._delay + BODY.stop + N_THETA
+
+    @cached_property
+    def _matrices(self) -> tuple[Array, Array]:
+        """Map of a step, from the loop's state and from the noise in a measurement.
+
+        Its rows are the next state, the radial deviation of now, and those of the plan.
+        """
+        still, quiet = np.zeros((self._size, BODY.stop)), np.zeros((BODY.stop, self._size))
+        return self._step(np.eye(self._size), quiet), self._step(still, np.eye(BODY.stop))
+
+    def _step(self, state: Array, noise: Array) -> Array:
+        config, plan, believed = self._config, self._plan, self._believed
+        n_x, n_u, late = config.vehicle.n_x, config.vehicle.n_rotors, self._delay
+        ends = np.cumsum([n_x] * (1 + late) + [n_u] * late + [BODY.stop])
+        parts = np.split(state, ends)
+        # Newest first: what was there and was done since the measurement that arrives now.
+        past_x, past_u, (estimate, theta) = parts[: 1 + late], parts[1 + late : -2], parts[-2:]
+        x, measured, known = past_x[0], past_x[-1].copy(), theta
+        measured[BODY] += noise
+        now = measured
+        if self._observes:
+            estimate, theta = self._correct(estimate, theta, measured[BODY])
+            now = np.vstack([estimate, measured[ROTORS]])
+        for sent in reversed(past_u):
+            now = believed.a @ now + believed.b @ sent + _theta_input(believed) @ theta
+        planned = plan.radial_x @ now + plan.radial_theta @ known
+        command = plan.u_x @ now + plan.u_theta @ known
+        if self._observes:
+            # To the next measurement, by the input that acted then.
+            at, acted = np.vstack([estimate, measured[ROTORS]]), [command, *past_u][-1]
+            moved = believed.a @ at + believed.b @ acted + _theta_input(believed) @ theta
+            estimate, theta = moved[BODY], _decay(config)[:, None] * theta
+        x_next = self._plant.a @ x + self._plant.b @ command
+        told = [(self.radial @ x[: len(self.radial)])[None], planned]
+        return np.vstack(
+            [x_next, *past_x[:late], *[command, *past_u][:late], estimate, theta, *told]
+        )
 
     def _correct(self, x: Array, theta: Array, measured: Array) -> tuple[Array, Array]:
         by = gains(self._config)
