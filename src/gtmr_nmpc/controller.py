@@ -21,7 +21,14 @@ from gtmr_nmpc.closed_loop import deviations
 from gtmr_nmpc.compiled.iteration import CompiledIteration
 from gtmr_nmpc.config import MODES, ControllerConfig, Mode
 from gtmr_nmpc.iteration import Iteration, IterationResult
-from gtmr_nmpc.margins import ClosedLoopMargin, Deviations, Margin, PaperMargin, Tightening
+from gtmr_nmpc.margins import (
+    ClosedLoopMargin,
+    Deviations,
+    Iterate,
+    Margin,
+    PaperMargin,
+    Tightening,
+)
 from gtmr_nmpc.margins.margin import tightening_of
 from gtmr_nmpc.observer import GUST, N_THETA, Observer
 from gtmr_nmpc.online.blend import Blend, between
@@ -74,7 +81,7 @@ class Controller:
         self._observer: Observer | None = None
         self._sent = Sent(self.config)
         self._share = 0.0
-        self._settled: tuple[int, Tightening] | None = None
+        self._by_step: list[Tightening] = []
         self._closed_loop: Deviations | None = None
         self._observed_t: float | None = None
         self._observed_steps = 0
@@ -104,7 +111,7 @@ class Controller:
         self._margin = self._chosen_margin(config)
         self.config = config
         self._sent.reconfigure(config)
-        self._settled = self._closed_loop = None
+        self._by_step, self._closed_loop = [], None
         self._iteration.reconfigure(self._blended(self._share))
         self._prepared = None
 
@@ -223,23 +230,21 @@ class Controller:
         self._prepared = (now, time.perf_counter() - start, blend)
 
     def _offset_free_tightening(self) -> Tightening:
-        """Ask its margin; what does not depend on the plan any more is kept."""
-        if self._settled is not None:
-            settled_from, tightening = self._settled
-            if self._observed_steps >= settled_from:
-                return tightening
-        margin = self.config.offset_free.margin
-        iterate = replace(
-            self._iteration.linearised(),
-            deviations=self._deviations,
-            observed_steps=self._observed_steps,
+        """Ask its margin; that of the closed loop depends on no plan, and is asked once."""
+        margin, step = self.config.offset_free.margin, self._observed_steps
+        if not isinstance(margin, ClosedLoopMargin):
+            return tightening_of(margin, self._observed(step))
+        if not self._by_step:
+            steps = range(len(self._deviations().transient) + 1)
+            at = self._observed(0)
+            self._by_step = [tightening_of(margin, replace(at, observed_steps=k)) for k in steps]
+        return self._by_step[min(step, len(self._by_step) - 1)]
+
+    def _observed(self, steps: int) -> Iterate:
+        """Tell a margin the iterate, and for how many steps disturbances have been estimated."""
+        return replace(
+            self._iteration.linearised(), deviations=self._deviations, observed_steps=steps
         )
-        tightening = tightening_of(margin, iterate)
-        if isinstance(margin, ClosedLoopMargin):
-            lasts = len(self._deviations().transient)
-            if self._observed_steps >= lasts:
-                self._settled = lasts, tightening
-        return tightening
 
     def _deviations(self) -> Deviations:
         if self._closed_loop is None:

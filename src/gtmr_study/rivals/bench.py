@@ -36,6 +36,7 @@ CONTROLLERS: tuple[tuple[str, Mode, TighteningOrder], ...] = (
     ("nominal", "nominal", "frozen"),
     ("frozen", "robust", "frozen"),
     ("gradient", "robust", "gradient"),
+    ("offset_free", "offset_free", "frozen"),
 )
 """Name, mode and tightening of what is timed."""
 Rivals = dict[str, InspectionNlp | DoMpcRival]
