@@ -84,8 +84,9 @@ def test_a_mass_that_changes_in_flight_becomes_a_force_within_bounds():
     np.testing.assert_allclose((theta[BIAS] + theta[GUST])[2], -0.2 * GRAVITY_M_S2, rtol=5e-3)
 
 
-def test_a_vehicle_held_by_the_ground_winds_up_no_further_than_the_bounds():
-    observer, _ = observers()["compiled"]
+@pytest.mark.parametrize("which", ["compiled", "numpy"])
+def test_a_vehicle_held_by_the_ground_winds_up_no_further_than_the_bounds(which):
+    observer, _ = observers()[which]
     x = hover()
     x[ROTORS] = CONFIG.vehicle.min_rotor_speed_hz
     for _ in range(400):
