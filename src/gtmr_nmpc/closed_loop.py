@@ -34,6 +34,8 @@ RESPONSE_STEPS = 320
 """How long responses are followed, in steps: 8 s of the paper's."""
 NEGLIGIBLE_M = 2e-5
 """Below this a transient is over [m]."""
+DIGITS = 12
+"""Decimals of a margin in m."""
 BODY = slice(0, ROTORS.start)
 
 
@@ -320,8 +322,11 @@ def deviations(config: ControllerConfig) -> Deviations:
     worst = np.max(transient, axis=0)
     after = np.nonzero(worst.sum(axis=2).max(axis=1) > NEGLIGIBLE_M)[0]
     lasts = int(after[-1]) + 1 if after.size else 1
+    # Rounded, so that they do not depend on how many threads multiply matrices.
     return Deviations(
-        gust=np.max(gust, axis=0), noise=np.max(spread, axis=0), transient=worst[:lasts]
+        gust=np.max(gust, axis=0).round(DIGITS),
+        noise=np.max(spread, axis=0).round(DIGITS),
+        transient=worst[:lasts].round(DIGITS),
     )
 
 
@@ -333,4 +338,6 @@ def l1_sequence(config: ControllerConfig, mode: Mode) -> tuple[float, ...]:
     """
     loop = ClosedLoop(config, mode, np.zeros(N_ZETA))
     radial = loop.gusts().radial[1:] @ loop.radial[POSITION]
-    return tuple(np.where(radial[::-1] >= 0.0, 1.0, -1.0).tolist())
+    # What is left at the end of the response is rounding, and so would be its signs.
+    counts = np.abs(radial) > 1e-9 * np.abs(radial).max()
+    return tuple(np.where(counts & (radial < 0.0), -1.0, 1.0)[::-1].tolist())

@@ -119,7 +119,13 @@ def _filter_gain(a: Array, process: Array, measured: Array) -> Array:
 
     c = np.eye(2, len(a))
     p = solve_discrete_are(a.T, c.T, process, measured)
-    return np.asarray(np.linalg.solve(c @ p @ c.T + measured, c @ p).T)
+    return _rounded(np.linalg.solve(c @ p @ c.T + measured, c @ p).T)
+
+
+def _rounded(gain: Array) -> Array:
+    """Keep 12 digits: the rest depends on how many threads solve an equation."""
+    unit = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(gain), 1e-30))) - 11.0)
+    return np.asarray(np.round(gain / unit) * unit)
 
 
 def bounds(config: ControllerConfig) -> Array:

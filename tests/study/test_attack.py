@@ -76,17 +76,43 @@ def test_the_worst_are_the_least_and_fly_again_to_the_last_digit(found, gtmr, tm
         written.unlink()
 
 
+def test_the_third_mode_flies_again_to_the_last_digit_too(gtmr, tmp_path):
+    # Workers multiply matrices in one thread, this process in as many as it has.
+    target = TARGET.model_copy(update={"mode": "offset_free"})
+    result = attack(target, 8, 3, tmp_path / "search", 1)
+    for k, worst in enumerate(result["worst"]):
+        written = tmp_path / f"{k}.json"
+        gtmr("fly", "--scenario", worst["scenario"], "--json", written)
+        told = json.loads(written.read_text())
+        assert told["min_clearance_any_time_m"] == worst["min_clearance_m"]
+
+
+def test_a_damaged_search_is_refused_in_one_line(found, tmp_path, refused):
+    _, folder = found
+    lines = flights_of(folder)
+    damaged = ("", "no json\n", "\n".join([*lines[:5], "{}", *lines[5:], ""]))
+    for k, text in enumerate(damaged):
+        (tmp_path / str(k)).mkdir()
+        (tmp_path / str(k) / search.FLIGHTS).write_text(text)
+        told = refused("attack", "--flights", 8, "--out", tmp_path / str(k))
+        assert "is damaged" in told
+        assert (tmp_path / str(k) / search.FLIGHTS).read_text() == text
+
+
 def test_another_search_and_other_files_are_refused_and_left_alone(found, tmp_path, refused):
     _, folder = found
     before = flights_of(folder)
     run = refused("attack", "--mode", "nominal", "--flights", 8, "--seed", 9, "--out", folder)
+    assert "holds another search" in run
+    run = refused("attack", "--mode", "nominal", "--flights", 2 * FLIGHTS, "--out", folder)
     assert "holds another search" in run
     (tmp_path / "mine.txt").write_text("mine")
     run = refused("attack", "--flights", 8, "--out", tmp_path)
     assert "mine.txt" in run
     assert flights_of(folder) == before
     assert "--mode" in refused("attack", "--mode", "bold", "--out", tmp_path / "new")
-    assert "--scenario" in refused("fly", "--scenario", folder / "worst-01.yaml", "--sample")
+    for more in (["--sample"], ["--seed", 3], ["--gust", "none"], ["--duration", 9]):
+        assert "--scenario" in refused("fly", "--scenario", folder / "worst-01.yaml", *more)
 
 
 def test_what_is_chosen_is_within_what_the_world_states():

@@ -58,13 +58,15 @@ OnProgress = Callable[[int, int], None]
 class Flown:
     """The file of flights: what is in it is not flown again.
 
-    InputError if the folder holds the flights of another search, or anything else.
+    InputError if the folder holds the flights of another search, damaged ones, or anything else.
     """
 
-    def __init__(self, folder: Path, target: Target, seed: int) -> None:
+    def __init__(self, folder: Path, target: Target, flights: int, seed: int) -> None:
         self.path = folder / FLIGHTS
         text = target.model_dump_json()
-        self._head = {"seed": seed, "searched": hashlib.sha256(text.encode()).hexdigest()}
+        # How many there are decides who chooses which.
+        searched = hashlib.sha256(text.encode()).hexdigest()
+        self._head = {"flights": flights, "seed": seed, "searched": searched}
         self.clearances_m: list[float] = []
         """Of the flights so far, by number [m]."""
         if folder.is_dir() and any(folder.iterdir()) and not self.path.exists():
@@ -79,14 +81,24 @@ class Flown:
             write_whole(self.path, json.dumps(self._head) + "\n")
 
     def _read(self, folder: Path) -> None:
-        head, *rows = self.path.read_text(encoding="utf-8").split("\n")
-        if json.loads(head) != self._head:
+        # Of a line that was being written when its writer was killed there is no end.
+        try:
+            head, *rows = self.path.read_text(encoding="utf-8").split("\n")
+            whole = rows[:-1]
+            told = json.loads(head)
+            found = [json.loads(row) for row in whole]
+            numbers = [row["number"] for row in found]
+            self.clearances_m = [float(row["min_clearance_m"]) for row in found]
+        except (ValueError, KeyError, TypeError):
+            numbers, told = [-1], None
+        if told == self._head and numbers != list(range(len(numbers))):
+            told = None
+        if told is None:
+            raise InputError(f"--out = {folder}: {FLIGHTS} is damaged; nothing was changed")
+        if told != self._head:
             raise InputError(
                 f"--out = {folder}: holds another search; nothing was changed: give another folder"
             )
-        # Of a line that was being written when its writer was killed there is no end.
-        whole = rows[:-1]
-        self.clearances_m = [float(json.loads(row)["min_clearance_m"]) for row in whole]
         if rows[-1]:
             kept = "\n".join([head, *whole]) + "\n"
             write_whole(self.path, kept)
@@ -115,7 +127,7 @@ def attack(
     ``violations``, ``min_clearance_m`` and ``worst``, the scenarios from the worst on. InputError
     if the folder holds anything else than this search.
     """
-    flown = Flown(folder, target, seed)
+    flown = Flown(folder, target, flights, seed)
     chosen: list[Array] = []
     with cluster.local_workers(n_workers) as client:
         for generation, tell in _generations(flights, seed, flown.clearances_m, chosen):

@@ -81,7 +81,8 @@ def fly_command(
     require_folder_of("--json", json)
     if scenario is not None:
         others = (mode, zeta, world, d_ref, vehicle, controller, sample or None)
-        if any(other is not None for other in others):
+        usual = (seed, duration, gust) == (0, 50.0, "ou")
+        if not usual or any(other is not None for other in others):
             raise InputError(f"--scenario = {scenario}: says it all; leave out the rest")
         from gtmr_study.attack.space import AttackFlight
 
@@ -89,7 +90,10 @@ def fly_command(
         pilot, named = Controller(again.controller, again.mode), str(scenario)
         period_s = again.controller.sampling_time_s
         duration = again.duration_s
-        _fly_and_tell(again.scenario, pilot, again.mode, duration, period_s, named, out, json)
+        try:
+            _fly_and_tell(again.scenario, pilot, again.mode, duration, period_s, named, out, json)
+        except FlightError as error:
+            raise InputError(f"--scenario = {scenario}: {error}") from None
         return
     own = None if controller is None else OwnController.named("--controller", controller)
     if own is not None and mode is not None:
