@@ -14,10 +14,16 @@ import ctypes
 import os
 import signal
 import sys
+import time
 from pathlib import Path
+from threading import Thread
 
 PARENT = "GTMR_PARENT"
 """Environment variable: process id with which a child is to end."""
+LOOK_S = 1.0
+"""Between two looks for the parent [s]."""
+GRACE_S = 5.0
+"""How long a process may take to end in order once its parent is gone [s]."""
 PR_SET_PDEATHSIG = 1
 """Of Linux's prctl(2): the signal that the kernel sends when the parent ends."""
 
@@ -42,8 +48,18 @@ def end_with_parent() -> None:
         return
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     # Between the two there may be a debugger or a terminal, with which it ends then.
-    if os.getppid() != int(parent) and not _is_alive(int(parent)):
+    if os.getppid() == int(parent):
+        Thread(target=_end_after, args=(int(parent),), daemon=True).start()
+    elif not _is_alive(int(parent)):
         os._exit(0)
+
+
+def _end_after(parent: int) -> None:
+    """See to it that a signal which came to nothing, as in the middle of a start, ends it too."""
+    while os.getppid() == parent:
+        time.sleep(LOOK_S)
+    time.sleep(GRACE_S)
+    os._exit(1)
 
 
 def _is_alive(process_id: int) -> bool:
