@@ -33,6 +33,8 @@ def campaign(folder: Path) -> list[dict[str, Any]]:
     """Read what a campaign says, a row a mode."""
     study = json.loads((folder / "study.json").read_text(encoding="utf-8"))["study"]
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    if any(said["errors"] for said in summary.values()):
+        raise SystemExit(f"{folder}: some trials ended in an error, and are not counted")
     return [
         {
             "name": f"{folder.name} {mode}",

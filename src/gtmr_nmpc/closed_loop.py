@@ -9,10 +9,12 @@
 """The loop of plant, observer and controller, linearised about hover beside the tower.
 
 While no inequality is active the controller is linear, and what gusts, noise and mismatch do to
-the clearance is read off the responses of this loop.
+the clearance is read off the responses of this loop. The lag of motors is taken as made up for by
+the lead, a delay as the next whole number of steps.
 """
 
 import itertools
+import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -191,7 +193,8 @@ class ClosedLoop:
         self._plant = _model(config, zeta)
         self._believed = _model(config, np.zeros(N_ZETA))
         self._plan = _plan(config)
-        self._delay = round(config.delay_s / config.sampling_time_s)
+        # Rather too late than too early.
+        self._delay = math.ceil(config.delay_s / config.sampling_time_s - 1e-9)
 
     def gusts(self) -> Responses:
         """Respond to a gust of 1 N along x, y and z, held for one step."""

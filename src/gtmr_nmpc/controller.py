@@ -98,6 +98,10 @@ class Controller:
         if mode not in MODES:
             raise ValueError(f"mode = {mode!r}: allowed is {' or '.join(MODES)}")
         self._mode: Mode = mode
+        if mode == "offset_free":
+            # What takes long is done here, and not in a step.
+            self._deviations()
+            self._observing()
         self._prepared: tuple[float, float, Blend] | None = None
 
     def reconfigure(self, config: ControllerConfig) -> None:
@@ -113,6 +117,8 @@ class Controller:
         self._sent.reconfigure(config)
         self._by_step, self._closed_loop = [], None
         self._iteration.reconfigure(self._blended(self._share))
+        if self._mode == "offset_free":
+            self._deviations()
         self._prepared = None
 
     def reset(self) -> None:
@@ -255,15 +261,13 @@ class Controller:
         """Say where the vehicle is when the command acts, as measured or estimated."""
         if share == 0.0 and now == t:
             return x
-        if self._observer is None:
-            self._observer = self._iteration.observer()
-        measured = x
+        observer, measured = self._observing(), x
         if share > 0.0:
             dt_s = 0.0 if self._observed_t is None else t - self._observed_t
             begun = 0.0 < dt_s <= self.config.horizon * self.config.sampling_time_s
             self._observed_steps = self._observed_steps + 1 if begun else 0
             self._observed_t = t
-            x, theta = self._observer.update(measured, dt_s)
+            x, theta = observer.update(measured, dt_s)
             x[YAW] += math.tau * round((measured[YAW] - x[YAW]) / math.tau)
             # The next plan begins a sampling time later.
             until_s = now - t + self.config.sampling_time_s
@@ -272,10 +276,15 @@ class Controller:
                 -until_s / self.config.offset_free.disturbance.gust_time_s
             )
         if now > t:
-            x = self._sent.ahead(self._observer, x, t, now)
+            x = self._sent.ahead(observer, x, t, now)
             if 0.0 < share < 1.0:
-                measured = self._sent.ahead(self._observer, measured, t, now)
+                measured = self._sent.ahead(observer, measured, t, now)
         return x if share in (0.0, 1.0) else (1.0 - share) * measured + share * x
+
+    def _observing(self) -> Observer:
+        if self._observer is None:
+            self._observer = self._iteration.observer()
+        return self._observer
 
     def _forget(self) -> None:
         """Let the observer begin anew."""

@@ -41,6 +41,11 @@ N_THETA = 9
 """Length of theta."""
 BIAS, GUST, TORQUE = slice(0, 3), slice(3, 6), slice(6, 9)
 """b, g and tau in theta."""
+BOUND_TILT_RAD = 0.2
+"""Tilt up to which wrong mass and thrust may make a horizontal force, for the bounds [rad]."""
+BOUND_IMBALANCE = 0.1
+"""Share of its thrust by which one rotor may differ from the others, for the bounds [-]; it comes
+on top of that of the uncertainty set."""
 BOUND_FACTOR = 2.0
 """How far beyond what the uncertainty set can explain an estimate may go, as on the ground."""
 
@@ -132,11 +137,11 @@ def bounds(config: ControllerConfig) -> Array:
     """Bounds on theta [N, N, N m], shape (9,): twice what the uncertainty set can explain."""
     box, vehicle = config.uncertainty, config.vehicle
     weight_n = vehicle.mass_kg * GRAVITY_M_S2
-    force = np.array(box.wind_bias_n) + np.array([0.2, 0.2, 1.0]) * weight_n * (
-        box.mass + box.thrust
-    )
+    along = np.array([BOUND_TILT_RAD, BOUND_TILT_RAD, 1.0])
+    force = np.array(box.wind_bias_n) + along * weight_n * (box.mass + box.thrust)
     arm_m = float(np.linalg.norm(np.array([r.position_m for r in vehicle.rotors]), axis=1).max())
-    torque = np.full(3, (box.thrust + 0.1) * weight_n * arm_m / 3.0)
+    # Half of the rotors, on one side, too strong: a third of the arm from the centre, or less.
+    torque = np.full(3, (box.thrust + BOUND_IMBALANCE) * weight_n * arm_m / 3.0)
     return BOUND_FACTOR * np.concatenate([force, np.full(3, box.gust_n), torque])
 
 

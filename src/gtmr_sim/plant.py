@@ -50,7 +50,8 @@ void plant_advance(double *memory, int steps)
         plant_step(memory, next);
         memcpy(memory, next, sizeof next);
         const double squared = next[0] * next[0] + next[1] * next[1];
-        if (squared < memory[LEAST])
+        /* What is no number must not look like a flight that kept away. */
+        if (!(squared >= memory[LEAST]))
             memory[LEAST] = squared;
     }
 }
@@ -212,7 +213,7 @@ def _interpreted(step: ca.Function, memory: Array, steps: int) -> None:
     state, *held, least = np.split(memory, ends)
     states = np.asarray(_folded(step, steps)(state, *held))
     state[:] = states[:, -1]
-    least[0] = min(least[0], float((states[0] * states[0] + states[1] * states[1]).min()))
+    least[0] = np.minimum(least[0], (states[0] * states[0] + states[1] * states[1]).min())
 
 
 @lru_cache(maxsize=64)

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Wind as a velocity field: profile, turbulence, flow round the tower and the wake behind it."""
+"""Wind as a velocity field: profile, turbulence, flow around the tower and the wake behind it."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Wind(YamlModel):
     """Standard deviation of the horizontal turbulence [m/s]: Dryden at low altitude, carried past
     by the mean wind (MIL-F-8785C, Sec. 3.7). The tower leaves it as it is."""
     flow_around_tower: bool = False
-    """Whether the mean wind flows round the tower: potential flow round a cylinder."""
+    """Whether the mean wind flows around the tower: potential flow around a cylinder."""
     wake: bool = False
     """Whether it is slower in the tower's wake: Powles's model of a tower's shadow (Wind
     Engineering 7, 1983), as AeroDyn has it, at most to a standstill."""

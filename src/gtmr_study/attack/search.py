@@ -26,7 +26,7 @@ from gtmr_study.attack.space import (
     LENGTH,
     AttackFlight,
     Target,
-    fly_choice,
+    fly_choices,
     random_choice,
     scenario_of,
     vertex_choice,
@@ -204,7 +204,8 @@ def _fly(
 
 
 def _fly_chunk(target: Target, numbered: list[tuple[int, Array]], seed: int) -> list[float]:
-    return [fly_choice(target, u, _noise_seed(seed, number)) for number, u in numbered]
+    seeds = [_noise_seed(seed, number) for number, _ in numbered]
+    return fly_choices(target, [u for _, u in numbered], seeds)
 
 
 def _noise_seed(seed: int, number: int) -> int:

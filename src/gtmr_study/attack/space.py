@@ -88,10 +88,9 @@ def scenario_of(target: Target, u: Array, seed: int) -> Scenario:
     box = config.uncertainty
     zeta = (2.0 * u[ZETA] - 1.0) * box.half_widths
     odometry = world.odometry
-    if odometry.delay_s > 0.0:
-        # Nothing later than is stated, nor earlier than its jitter.
-        late_s = odometry.delay_s - float(u[DELAY]) * odometry.jitter_s
-        odometry = odometry.model_copy(update={"jitter_s": odometry.delay_s - late_s})
+    # Nothing later than is stated, nor earlier than its jitter.
+    jitter_s = float(u[DELAY]) * odometry.jitter_s
+    odometry = odometry.model_copy(update={"jitter_s": jitter_s})
     away, aside, up = OFFSET_M * np.array([u[OFFSETS][0], *(2.0 * u[OFFSETS][1:] - 1.0)])
     start = config.helix.at(0.0, config.tower).position[0]
     c, s = start[:2] / math.hypot(*start[:2])
@@ -109,21 +108,19 @@ def scenario_of(target: Target, u: Array, seed: int) -> Scenario:
     )
 
 
-def fly_choice(target: Target, u: Array, seed: int) -> float:
-    """Least d_T of any plant step of a choice's flight [m]."""
-    return fly_scenario(target, scenario_of(target, u, seed))
+def fly_choices(target: Target, choices: list[Array], seeds: list[int]) -> list[float]:
+    """Least d_T of any plant step of each choice's flight [m].
 
-
-def fly_scenario(target: Target, scenario: Scenario) -> float:
-    """Fly a scenario with the target's controller; least d_T of any plant step [m]."""
-    controller = _controller(target.controller, target.mode)
-    controller.reset()
-    return fly(scenario, controller, target.duration_s).least_clearance_m
-
-
-@lru_cache(maxsize=4)
-def _controller(config: ControllerConfig, mode: Mode) -> Controller:
-    return Controller(config, mode)
+    Raises ValueError if a flight diverges.
+    """
+    controller, least_m = Controller(target.controller, target.mode), []
+    for u, seed in zip(choices, seeds, strict=True):
+        controller.reset()
+        log = fly(scenario_of(target, u, seed), controller, target.duration_s)
+        if not math.isfinite(log.least_clearance_m):
+            raise ValueError("a flight diverged: its clearance is not finite")
+        least_m.append(log.least_clearance_m)
+    return least_m
 
 
 @lru_cache(maxsize=4)

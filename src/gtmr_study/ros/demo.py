@@ -27,10 +27,11 @@ from rclpy.executors import SingleThreadedExecutor
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Range
 
-from gtmr_model.yaml_model import presets_of
 from gtmr_msgs_py import topics
 from gtmr_msgs_py.start.environment import ros_environment
 from gtmr_msgs_py.wire import stamps
+from gtmr_sim import World
+from gtmr_study.campaign.study import controller_for
 
 if TYPE_CHECKING:
     from gtmr_study.ros.live import LiveView
@@ -73,7 +74,7 @@ def fly_in_ros(
     with _nodes(domain_id, folder) as start:
         start("gtmr_monitor.node", bag=str(bag))
         # A world that has one is flown with the controller that knows of it.
-        controller = world if world in presets_of("controller") else "default"
+        controller = controller_for(World.load("world", world))
         start("gtmr_nmpc.node", mode=mode, recorders="1", controller=controller)
         # In lockstep the flight is the same on a busy machine, only slower.
         sim = start(
