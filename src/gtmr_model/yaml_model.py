@@ -39,10 +39,13 @@ def describe(error: ValidationError) -> str:
     For example ``mass_kg = -1.0: Input should be greater than 0``.
     """
     problems = []
-    found = error.errors()
+    # A default that was not made, for want of what is wrong already, is no problem of its own.
+    found = [e for e in error.errors() if e["type"] != "default_factory_not_called"]
     for problem in found[:MAX_PROBLEMS]:
         field = ".".join(str(part) for part in problem["loc"])
         reason = problem["msg"].removeprefix("Value error, ")
+        # What is read by its name says itself what it is.
+        reason = reason.removeprefix(f"{field.rpartition('.')[2]} = {_shown(problem['input'])}: ")
         if problem["type"] == "missing":
             problems.append(f"{field} is missing")
         elif problem["type"] == "extra_forbidden":
