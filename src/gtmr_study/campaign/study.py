@@ -34,11 +34,7 @@ RANDOM_TRIALS = 500
 def _by_name(value: Any) -> Any:
     if not isinstance(value, str):
         return value
-    try:
-        return ControllerConfig.load("controller", value)
-    except ConfigError as error:
-        # The study names field and value itself.
-        raise ValueError(str(error).removeprefix(f"controller = {value!r}: ")) from None
+    return ControllerConfig.load("controller", value)
 
 
 NamedController = Annotated[ControllerConfig, BeforeValidator(_by_name)]
