@@ -153,8 +153,8 @@ def test_a_report_of_a_torn_copy_tells_all_up_to_its_last_whole_chunk(tmp_path, 
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(whole[: last.chunk_start_offset + last.chunk_length // 2])
     kept = [m for m in read_messages(path) if m.log_time_ns < last.message_start_time]
-    odometry = [m.decode().header.stamp for m in kept if m.topic == "/odom"]
-    samples = len({(stamp.sec, stamp.nanosec) for stamp in odometry})
+    states = [m.decode().header.stamp for m in kept if m.topic == "/ground_truth"]
+    samples = len({(stamp.sec, stamp.nanosec) for stamp in states})
 
     run = gtmr("report", torn, "--out", tmp_path / "torn.html")
     assert run.returncode == 0, run.stderr
