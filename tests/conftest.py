@@ -13,7 +13,7 @@ import sys
 from types import SimpleNamespace
 
 import pytest
-from support import campaign_runs
+from support import campaign_runs, npm
 from support.launch_stubs import launch  # noqa: F401 -- a fixture
 
 from gtmr_msgs_py.start.environment import ros_environment
@@ -94,3 +94,11 @@ def unoptimised(monkeypatch):
 def flown(tmp_path_factory):
     """Folder of a small campaign that is flown once in a test run."""
     return campaign_runs.flown_in(tmp_path_factory.mktemp("campaign"))
+
+
+@pytest.fixture(scope="session")
+def axe(tmp_path_factory):
+    """Source of axe-core, which says what of a page not everybody can read."""
+    folder = npm.installed(tmp_path_factory.mktemp("axe"), "axe-core@4.14.1")
+    path = folder / "node_modules" / "axe-core" / "axe.min.js"
+    return path.read_text(encoding="utf-8")

@@ -10,7 +10,6 @@
 
 import hashlib
 import json
-import shutil
 import subprocess
 from collections import defaultdict
 
@@ -19,6 +18,7 @@ from mcap.reader import make_reader
 
 pytest.importorskip("rclpy")
 
+from support import npm
 from support.recorded_flight import recorded
 
 from gtmr_monitor.bag.reader import bag_files, read_messages
@@ -27,7 +27,6 @@ pytestmark = pytest.mark.slow
 """Flies in a real ROS graph."""
 
 PACKAGES = ["@mcap/core@2.2.2", "fzstd@0.1.1"]
-INSTALL_TIMEOUT_S = 60
 READ = """
 import { McapIndexedReader, McapStreamReader } from "@mcap/core";
 import { createHash } from "node:crypto";
@@ -99,21 +98,9 @@ console.log(JSON.stringify({ indexed: await indexed(), streamed: await streamed(
 @pytest.fixture(scope="module")
 def script(tmp_path_factory):
     """The reading script, with its packages beside it."""
-    npm, node = shutil.which("npm"), shutil.which("node")
-    if npm is None or node is None:
-        pytest.skip("needs Node.js and npm")
-    folder = tmp_path_factory.mktemp("node")
+    folder = npm.installed(tmp_path_factory.mktemp("node"), *PACKAGES)
     (folder / "read.mjs").write_text(READ)
-    (folder / "package.json").write_text('{"private": true}')
-    quiet = ["--no-audit", "--no-fund", "--ignore-scripts", "--prefer-offline", "--silent"]
-    try:
-        subprocess.run(
-            [npm, "install", *quiet, *PACKAGES],
-            cwd=folder, check=True, capture_output=True, timeout=INSTALL_TIMEOUT_S,
-        )  # fmt: skip
-    except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
-        pytest.skip(f"npm cannot install {' '.join(PACKAGES)}, perhaps offline: {error}")
-    return [node, str(folder / "read.mjs")]
+    return ["node", str(folder / "read.mjs")]
 
 
 def test_mcap_core_reads_every_message_by_index_and_as_a_stream(script):

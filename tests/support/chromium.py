@@ -26,6 +26,7 @@ from websockets.sync.client import connect
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 DEADLINE_S = 60.0
+WCAG_AA = ("wcag2a", "wcag2aa", "wcag21a", "wcag21aa")
 OPTIONS = (
     "--headless",
     "--no-sandbox",
@@ -152,3 +153,35 @@ class Page:
     def screenshot(self) -> bytes:
         """What can be seen, as PNG."""
         return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+
+    def resize(self, width: int, height: int) -> None:
+        """Give the page another size, as on another screen [CSS pixels]."""
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width, height=height, deviceScaleFactor=1, mobile=False,
+        )  # fmt: skip
+
+    def prefer(self, scheme: str) -> None:
+        """Wish for the theme ``light`` or ``dark``, as the browser's settings do."""
+        features = [{"name": "prefers-color-scheme", "value": scheme}]
+        self.call("Emulation.setEmulatedMedia", features=features)
+
+    def overflow_px(self) -> int:
+        """By how many CSS pixels the page is wider than its window."""
+        root = "document.documentElement"
+        return int(self.evaluate(f"{root}.scrollWidth - {root}.clientWidth"))
+
+    def inaccessible(self, axe: str, *rules: str) -> list[str]:
+        """Say what axe-core (its source) finds by WCAG 2.1 A and AA, or by some rules."""
+        self.call("Runtime.evaluate", expression=axe)
+        only = {"type": "rule", "values": rules} if rules else {"type": "tag", "values": WCAG_AA}
+        answer = self.call(
+            "Runtime.evaluate",
+            expression=f"axe.run(document, {{runOnly: {json.dumps(only)}}})"
+            ".then(({violations}) => violations.flatMap(({id, nodes}) => "
+            "nodes.map((node) => `${id}: ${node.html} ${node.failureSummary}`)))",
+            awaitPromise=True,
+            returnByValue=True,
+        )
+        assert "exceptionDetails" not in answer, answer
+        return list(answer["result"]["value"])
