@@ -62,7 +62,12 @@ def attack(folder: Path) -> dict[str, Any]:
         seed = json.loads(flights.readline())["seed"]
     worst = yaml.safe_load((folder / "worst-01.yaml").read_text(encoding="utf-8"))
     del told["worst"]
-    return {"name": folder.name, "d_ref_m": worst["controller"]["helix"]["offset_m"], "seed": seed, **told}
+    return {
+        "name": folder.name,
+        "d_ref_m": worst["controller"]["helix"]["offset_m"],
+        "seed": seed,
+        **told,
+    }
 
 
 def table(titles: tuple[str, ...], rows: list[list[str]]) -> str:
