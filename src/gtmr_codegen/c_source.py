@@ -60,7 +60,21 @@ def c_function(function: ca.Function, number: str = "double") -> str:
     first_out = _offsets([function.nnz_out(i) for i in range(function.n_out())])
     prefix = "" if number == "double" else f"{number}_"
     names: dict[int, str] = {}
+    constants: dict[str, float] = {}
+    written: set[str] = set()
     lines = []
+
+    def define(name: str, value: str) -> str:
+        """Name a value, once."""
+        if name not in written:
+            written.add(name)
+            lines.append(f"const {number} {name} = {value};")
+        return name
+
+    def operand(i: int) -> str:
+        name = names[i]
+        return define(name, _constant(constants[name], number)) if name in constants else name
+
     for k in range(function.n_instructions()):
         op, to, of = (
             function.instruction_id(k),
@@ -68,16 +82,25 @@ def c_function(function: ca.Function, number: str = "double") -> str:
             function.instruction_input(k),
         )
         if op == ca.OP_OUTPUT:
-            lines.append(f"out[{first_out[to[0]] + to[1]}] = {names[of[0]]};")
+            lines.append(f"out[{first_out[to[0]] + to[1]}] = {operand(of[0])};")
             continue
+        name = f"t{k}"
         if op == ca.OP_INPUT:
-            value = f"in[{first_in[of[0]] + of[1]}]"
+            define(name, f"in[{first_in[of[0]] + of[1]}]")
         elif op == ca.OP_CONST:
-            value = _constant(function.instruction_constant(k), number)
+            # Written where it is used, as far as it is.
+            constants[name] = function.instruction_constant(k)
+        elif op == ca.OP_DIV and number != "double":
+            # A vector is divided many times as slowly as it is multiplied.
+            by = names[of[1]]
+            if by in constants:
+                inverse = _constant(1.0 / constants[by], number)
+            else:
+                inverse = define(f"inverse_{by}", f"1.0 / {by}")
+            define(name, f"{operand(of[0])} * {inverse}")
         else:
-            value = _expression(op, [names[i] for i in of], prefix)
-        names[to[0]] = f"t{k}"
-        lines.append(f"const {number} t{k} = {value};")
+            define(name, _expression(op, [operand(i) for i in of], prefix))
+        names[to[0]] = name
     body = "\n".join(f"    {line}" for line in lines)
     name = function.name()
     return f"void {name}(const {number} *restrict in, {number} *restrict out)\n{{\n{body}\n}}\n"
