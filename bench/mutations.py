@@ -33,9 +33,15 @@ MUTATIONS = [
     # File, text, what it becomes, test that fails.
     (
         f"{C}/controller.c",
-        "if (breaks_rotor_limits(c))",
-        "if (0)",
+        "return breaks_rotor_limits(c, LIMIT_TOLERANCE_HZ_S, LIMIT_TOLERANCE_HZ);",
+        "return 0;",
         COMPILED + "a_plan_that_is_called_solved_keeps_the_rotor_limits_from_anywhere",
+    ),
+    (
+        f"{C}/controller.c",
+        "return !breaks_rotor_limits(c, INPUT_ROUNDING, SPEED_ROUNDING);",
+        "return 1;",
+        COMPILED + "plans_are_those_of_the_reference_with_qpoases[clearance, frozen]",
     ),
     (
         f"{C}/active_set.c",

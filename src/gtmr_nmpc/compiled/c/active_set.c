@@ -233,9 +233,12 @@ static void refine(gtmr_controller *c)
 static void changes(const gtmr_controller *c, double *change)
 {
     double speed[N_U] = {0.0};
+    if (c->only_clearances) {
+        memset(change, 0, N_ROWS * sizeof(double));
+    }
     for (int i = 0; i < STAGES; ++i) {
         const int first = row_of(i, 0), length = row_length(first);
-        for (int j = 0; j < N_U; j += TILE_ROWS) {
+        for (int j = 0; j < N_U && !c->only_clearances; j += TILE_ROWS) {
             const double *row[TILE_ROWS];
             double along[TILE_ROWS];
             for (int r = 0; r < TILE_ROWS; ++r) {

@@ -6,7 +6,7 @@
 // WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 // language governing permissions and limitations under the License.
 
-/* Linear combinations of rows, out[r] += sum_k coefficient(r, k) in[k], held in registers. */
+/* Linear combinations of rows, held in registers. */
 #ifndef GTMR_COMBINE_H
 #define GTMR_COMBINE_H
 
@@ -14,11 +14,13 @@
 
 #if defined(__GNUC__)
 #define UNROLLED static inline __attribute__((always_inline))
+#define UNROLL _Pragma("GCC unroll 16")
 #else
+#define UNROLL
 #define UNROLLED static inline
 #endif
 
-enum { TILE_ROWS = 4, TILE_VECS = 3 };
+enum { TILE_ROWS = 4, TILE_VECS = 3, MOST_ROWS = 8 };
 
 /* Where the coefficients are: that of row r and term k at at[r * row + k * term]. */
 typedef struct {
@@ -27,13 +29,20 @@ typedef struct {
     ptrdiff_t term;
 } coefficients;
 
+/* What the sums begin with: scale * at[r * ld + c]. */
+typedef struct {
+    const double *at;
+    ptrdiff_t ld;
+    double scale;
+} beginning;
+
 UNROLLED void combine_tile(int rows, int vecs, int terms, coefficients by, const double *in,
-                           ptrdiff_t ld_in, double *out, ptrdiff_t ld_out)
+                           ptrdiff_t ld_in, beginning from, double *out, ptrdiff_t ld_out)
 {
-    vec total[TILE_ROWS][TILE_VECS];
+    vec total[MOST_ROWS][TILE_VECS];
     for (int r = 0; r < rows; ++r) {
         for (int c = 0; c < vecs; ++c) {
-            total[r][c] = load(out + r * ld_out + c * VEC);
+            total[r][c] = from.scale * load(from.at + r * from.ld + c * VEC);
         }
     }
     for (int k = 0; k < terms; ++k) {
@@ -55,40 +64,69 @@ UNROLLED void combine_tile(int rows, int vecs, int terms, coefficients by, const
     }
 }
 
-UNROLLED void combine_rows(int rows, int columns, int terms, coefficients by, const double *in,
-                           ptrdiff_t ld_in, double *out, ptrdiff_t ld_out)
+#define COMBINE_TILES(height)                                                                    \
+    for (; r + (height) <= rows; r += (height)) {                                                \
+        const coefficients those = {by.at + r * by.row, by.row, by.term};                        \
+        const beginning there = {from.at + r * from.ld, from.ld, from.scale};                    \
+        combine_tile(height, vecs, terms, those, in, ld_in, there, out + r * ld_out, ld_out);    \
+    }
+
+/* All rows of a few columns, in tiles of about as many sums as keep the processor busy. */
+UNROLLED void combine_columns(int vecs, int rows, int terms, coefficients by, const double *in,
+                              ptrdiff_t ld_in, beginning from, double *out, ptrdiff_t ld_out)
+{
+    int r = 0;
+    if (vecs == 1) {
+        COMBINE_TILES(8)
+    }
+    if (vecs == 2) {
+        COMBINE_TILES(6)
+    }
+    COMBINE_TILES(4)
+    COMBINE_TILES(2)
+    COMBINE_TILES(1)
+}
+
+/* out[r] = scale * from[r] + sum_k coefficient(r, k) in[k]; columns: padded to registers. */
+UNROLLED void combine_from(int rows, int columns, int terms, coefficients by, const double *in,
+                           ptrdiff_t ld_in, beginning from, double *out, ptrdiff_t ld_out)
 {
     int c = 0;
-    for (; c + TILE_VECS * VEC <= columns; c += TILE_VECS * VEC) {
-        combine_tile(rows, TILE_VECS, terms, by, in + c, ld_in, out + c, ld_out);
+    for (; c + 3 * VEC <= columns; c += 3 * VEC) {
+        const beginning there = {from.at + c, from.ld, from.scale};
+        combine_columns(3, rows, terms, by, in + c, ld_in, there, out + c, ld_out);
     }
-    for (; c < columns; c += VEC) {
-        combine_tile(rows, 1, terms, by, in + c, ld_in, out + c, ld_out);
+    const beginning there = {from.at + c, from.ld, from.scale};
+    if (columns - c == 2 * VEC) {
+        combine_columns(2, rows, terms, by, in + c, ld_in, there, out + c, ld_out);
+    } else if (columns - c == VEC) {
+        combine_columns(1, rows, terms, by, in + c, ld_in, there, out + c, ld_out);
     }
 }
 
-/* columns: padded to whole registers. */
+/* out[r] += sum_k coefficient(r, k) in[k]. */
 static inline void combine(int rows, int columns, int terms, coefficients by, const double *in,
                            ptrdiff_t ld_in, double *out, ptrdiff_t ld_out)
 {
-    int r = 0;
-    for (; r + TILE_ROWS <= rows; r += TILE_ROWS) {
-        combine_rows(TILE_ROWS, columns, terms, by, in, ld_in, out, ld_out);
-        by.at += TILE_ROWS * by.row;
-        out += TILE_ROWS * ld_out;
-    }
-    switch (rows - r) {
-    case 3:
-        combine_rows(3, columns, terms, by, in, ld_in, out, ld_out);
-        break;
-    case 2:
-        combine_rows(2, columns, terms, by, in, ld_in, out, ld_out);
-        break;
-    case 1:
-        combine_rows(1, columns, terms, by, in, ld_in, out, ld_out);
-        break;
-    default:
-        break;
+    const beginning from = {out, ld_out, 1.0};
+    combine_from(rows, columns, terms, by, in, ld_in, from, out, ld_out);
+}
+
+/* The same for rows first..last-1 of a lower triangle, by registers up to the diagonal; all of it
+ * begins at row 0. */
+UNROLLED void combine_lower(int first, int last, int terms, coefficients by, const double *in,
+                            ptrdiff_t ld_in, beginning from, double *out, ptrdiff_t ld_out)
+{
+    UNROLL for (int block = 0; block < PADDED(last); block += VEC)
+    {
+        const int start = block > first ? block : first;
+        const int end = block + VEC < last ? block + VEC : last;
+        if (start < end) {
+            const coefficients those = {by.at + start * by.row, by.row, by.term};
+            const beginning there = {from.at + start * from.ld, from.ld, from.scale};
+            combine_from(end - start, block + VEC, terms, those, in, ld_in, there,
+                         out + start * ld_out, ld_out);
+        }
     }
 }
 

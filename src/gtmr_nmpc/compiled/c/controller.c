@@ -25,8 +25,9 @@ enum {
 #define CLEARANCE_ROUNDING 1e-14
 /* Slack below this is rounding as well [m]. */
 #define SLACK_ROUNDING 1e-9
-/* By how much a solution may break the limits of rotors: Hz/s, Hz. */
-#define LIMIT_TOLERANCE 1e-6
+/* By how much a solution may break the limits of rotors. */
+#define LIMIT_TOLERANCE_HZ_S 1e-6
+#define LIMIT_TOLERANCE_HZ 1e-6
 
 size_t gtmr_size(void)
 {
@@ -63,6 +64,7 @@ void gtmr_cold(gtmr_controller *c, const double *x)
     }
     memset(c->u, 0, sizeof c->u);
     memset(c->multiplier, 0, sizeof c->multiplier);
+    c->end_is_open = 0;
 }
 
 void gtmr_disturb(gtmr_controller *c, const double *theta)
@@ -106,9 +108,11 @@ void gtmr_warm(gtmr_controller *c, int steps)
            kept * STAGE_ROWS * sizeof(double));
     memset(c->u[kept], 0, steps * sizeof c->u[0]);
     memset(c->multiplier + kept * STAGE_ROWS, 0, steps * STAGE_ROWS * sizeof(double));
-    for (int i = kept; i < STAGES; ++i) {
+    /* The last state comes out of the linearisation of the last interval. */
+    for (int i = kept; i < STAGES - 1; ++i) {
         coast(c, i, c->x[i], c->x[i + 1]);
     }
+    c->end_is_open = kept < STAGES;
 }
 
 void gtmr_prepare(gtmr_controller *c, double t, double margin_scale)
@@ -149,11 +153,13 @@ static int outside(const gtmr_controller *c, int row, double tolerance)
              c->value[row] >= c->lower[row] - tolerance);
 }
 
-/* Values of all inequalities after the step of v = 0, and their bounds; whether any is broken. */
+enum { ROTORS_BROKEN = 1, CLEARANCES_BROKEN = 2 };
+
+/* Values of all inequalities after the step of v = 0, and their bounds; which kinds are broken. */
 static int inequalities(gtmr_controller *c, const double *x)
 {
     double change[STAGES + 1] = {0.0};
-    int broken = 0;
+    int rotors = 0, clearances = 0;
     if (with_margin_gradient(c)) {
         gtmr_margin_change_along_step(c, change);
     }
@@ -163,7 +169,7 @@ static int inequalities(gtmr_controller *c, const double *x)
             bound_rotor(c, i, r, x[BODY + r]);
             c->value[input] = c->u[i][r] + c->step[i][N_X + r];
             c->value[speed] = c->x[i + 1][BODY + r] + c->step[i + 1][BODY + r];
-            broken |= outside(c, input, INPUT_ROUNDING) | outside(c, speed, SPEED_ROUNDING);
+            rotors |= outside(c, input, INPUT_ROUNDING) | outside(c, speed, SPEED_ROUNDING);
         }
         const clearance *y = &c->clearances[i + 1];
         const double *dp = c->step[i + 1];
@@ -172,9 +178,9 @@ static int inequalities(gtmr_controller *c, const double *x)
         c->upper[row] = 0.0;
         c->value[row] =
             y->residual + y->gradient[0] * dp[0] + y->gradient[1] * dp[1] + change[i + 1];
-        broken |= outside(c, row, CLEARANCE_ROUNDING);
+        clearances |= outside(c, row, CLEARANCE_ROUNDING);
     }
-    return broken;
+    return (rotors ? ROTORS_BROKEN : 0) | (clearances ? CLEARANCES_BROKEN : 0);
 }
 
 /* Stage 0 is measured, not planned: its violation is a fact and no variable of the QP. */
@@ -237,8 +243,8 @@ static void stay(gtmr_controller *c)
     memcpy(c->last.u, c->u, sizeof c->u);
 }
 
-/* Rotor limits are hard: a step that breaks them is no solution, whatever the solver thinks. */
-static int breaks_rotor_limits(const gtmr_controller *c)
+/* Whether the step breaks limits of rotors by more than so many Hz/s or Hz. */
+static int breaks_rotor_limits(const gtmr_controller *c, double by_hz_s, double by_hz)
 {
     int broken = 0;
     for (int i = 0; i < STAGES; ++i) {
@@ -246,25 +252,58 @@ static int breaks_rotor_limits(const gtmr_controller *c)
             const int input = row_of(i, r), speed = row_of(i, N_U + r);
             const double u = c->u[i][r] + c->step[i][N_X + r];
             const double xi = c->x[i + 1][BODY + r] + c->step[i + 1][BODY + r];
-            broken |= !(u <= c->upper[input] + LIMIT_TOLERANCE &&
-                        u >= c->lower[input] - LIMIT_TOLERANCE &&
-                        xi <= c->upper[speed] + LIMIT_TOLERANCE &&
-                        xi >= c->lower[speed] - LIMIT_TOLERANCE);
+            broken |= !(u <= c->upper[input] + by_hz_s &&
+                        u >= c->lower[input] - by_hz_s &&
+                        xi <= c->upper[speed] + by_hz &&
+                        xi >= c->lower[speed] - by_hz);
         }
     }
     return broken;
 }
 
-/* The QP with its inequalities. */
-static gtmr_status constrained_step(gtmr_controller *c, const double *dx0, double *slack)
+static int starts_with_rotors(const gtmr_controller *c)
 {
-    gtmr_status status = GTMR_SOLVED;
-    gtmr_condense(c);
+    for (int i = 0; i < N_ROWS; ++i) {
+        if (c->multiplier[i] != 0.0 && i % STAGE_ROWS != CLEARANCE) {
+            return 1;
+        }
+    }
+    return 0;
+}
+
+/*
+ * The QP with the clearances alone, which are few and most often all that binds. Its solution is
+ * that of the whole QP if it keeps the limits of the rotors; whether it does.
+ */
+static int clearances_suffice(gtmr_controller *c, const double *dx0)
+{
+    gtmr_condense_clearances(c);
     if (gtmr_active_set_solve(c) != 0) {
-        return GTMR_FAILED;
+        return 0;
     }
     gtmr_riccati_rollout(c, dx0, c->v);
-    if (breaks_rotor_limits(c)) {
+    return !breaks_rotor_limits(c, INPUT_ROUNDING, SPEED_ROUNDING);
+}
+
+/* The whole QP; 0 if solved. Rotor limits are hard: a step that breaks them is no solution. */
+static int solve_whole(gtmr_controller *c, const double *dx0)
+{
+    gtmr_condense(c);
+    memset(c->last.multiplier, 0, sizeof c->last.multiplier);
+    if (gtmr_active_set_solve(c) != 0) {
+        return 1;
+    }
+    gtmr_riccati_rollout(c, dx0, c->v);
+    return breaks_rotor_limits(c, LIMIT_TOLERANCE_HZ_S, LIMIT_TOLERANCE_HZ);
+}
+
+/* The QP with its inequalities, of which some kinds are broken at v = 0. */
+static gtmr_status constrained_step(gtmr_controller *c, const double *dx0, int broken,
+                                    double *slack)
+{
+    gtmr_status status = GTMR_SOLVED;
+    const int simple = broken == CLEARANCES_BROKEN && !starts_with_rotors(c);
+    if (!(simple && clearances_suffice(c, dx0)) && solve_whole(c, dx0) != 0) {
         return GTMR_FAILED;
     }
     for (int i = 0; i < STAGES; ++i) {
@@ -283,8 +322,9 @@ gtmr_status gtmr_feedback(gtmr_controller *c, const double *x, double *to)
     }
     memset(c->last.multiplier, 0, sizeof c->last.multiplier);
     gtmr_riccati_rollout(c, dx0, NULL);
-    if (inequalities(c, x)) {
-        status = constrained_step(c, dx0, slack);
+    const int broken = inequalities(c, x);
+    if (broken) {
+        status = constrained_step(c, dx0, broken, slack);
     }
     if (status == GTMR_FAILED || !is_finite_step(c)) {
         status = GTMR_FAILED;

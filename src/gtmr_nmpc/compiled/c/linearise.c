@@ -57,9 +57,16 @@ void gtmr_evaluate_model(gtmr_controller *c)
 static void take(gtmr_controller *c, int stage, int which)
 {
     interval *to = &c->intervals[stage];
-    const double *x = c->x[stage], *x_planned = c->x[stage + 1];
+    const double *x = c->x[stage];
+    double *x_planned = c->x[stage + 1];
     const double *from = lane(c->lanes_out, 0, which);
     double *jacobian = &to->jacobian[0][0], *dF_dzeta = &to->dF_dzeta[0][0];
+    if (stage == STAGES - 1 && c->end_is_open) {
+        memcpy(x_planned, x, N_X * sizeof(double));
+        for (int j = 0; j < BODY; ++j) {
+            x_planned[j] = from[j * VEC];
+        }
+    }
     for (int j = 0; j < BODY; ++j, from += VEC) {
         to->defect[j] = *from - x_planned[j];
     }

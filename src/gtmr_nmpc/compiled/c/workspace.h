@@ -38,10 +38,10 @@ enum {
 typedef struct {
     double jacobian[N_H][LD_XU]; /* [A B], rows of the body, then of the acceleration */
     double dF_dzeta[BODY][LD_ZETA];
-    double defect[N_X];
+    double defect[LD_X];
     double acceleration[3];
-    double gain[N_U][LD_X];       /* K: du = K dx + k + C' v */
-    double offset[N_U];           /* k */
+    double Z[N_U][LD_X];          /* du = C' (v - z - Z dx) */
+    double z[N_U];
     double whitening[N_U][N_U];   /* C = L^-1, with L L' the Hessian of du */
 } interval;
 
@@ -101,6 +101,7 @@ struct gtmr_controller {
     plan last;               /* what the last step returned */
     double x[STAGES + 1][N_X]; /* the iterate */
     double u[STAGES][N_U];
+    int end_is_open;           /* whether x[STAGES] is to follow from the stage before it */
     double multiplier[N_ROWS]; /* where the active set starts from */
     interval intervals[STAGES];
     clearance clearances[STAGES + 1];
@@ -110,7 +111,8 @@ struct gtmr_controller {
 
     /* The QP in v, where its cost is |v|^2 / 2: rows, values at v = 0 and bounds. */
     double rows[N_ROWS][LD_V];
-    double inverse_norm[N_ROWS];
+    double inverse_norm[N_ROWS]; /* 0 for a row that is left out */
+    int only_clearances;
     double value[N_ROWS];
     double lower[N_ROWS];
     double upper[N_ROWS];
@@ -143,10 +145,13 @@ void gtmr_margin_gradient(gtmr_controller *c, int stage, double d_x[][N_X], doub
 
 /* riccati.c */
 void gtmr_riccati_factorise(gtmr_controller *c);
+void gtmr_riccati_gain(const interval *at, double K[N_U][LD_X]); /* of du = K dx + k + C' v */
 void gtmr_riccati_rollout(gtmr_controller *c, const double *dx0, const double *v);
 
-/* condense.c: the rows of the inequalities in v. */
+/* condense.c: the rows of the inequalities in v; of the clearances alone, the others being as
+ * good as absent. */
 void gtmr_condense(gtmr_controller *c);
+void gtmr_condense_clearances(gtmr_controller *c);
 
 /* working_set.c */
 
