@@ -30,7 +30,7 @@ FLAGS = (
     "-std=c99",
     "-fPIC",
     "-march=native",
-    # Neither changes a result: nobody looks at libm's errno or at floating-point exceptions.
+    # Neither changes a result: nothing reads libm's errno or at floating-point exceptions.
     "-fno-math-errno",
     "-fno-trapping-math",
 )
@@ -145,7 +145,7 @@ def _cache_folder() -> Path | None:
 
 
 def _is_own(status: os.stat_result) -> bool:
-    """Whether nobody but this user can have written it."""
+    """Whether only this user can have written it."""
     writable_by_others = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
     return status.st_uid == os.getuid() and not writable_by_others
 
@@ -164,7 +164,7 @@ def _turn(folder: Path | None) -> Iterator[None]:
 
 
 def _find(folder: Path | None, key: str) -> Path | None:
-    """Find an entry that is what its name says; clear away what only pretends to be."""
+    """Find an entry whose content matches the hash in its name; remove those that do not."""
     if folder is None:
         return None
     for entry in folder.glob(f"{key}-*.so"):

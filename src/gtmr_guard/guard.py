@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The guard: watches what the actuators are told, and flies where nobody else does."""
+"""The guard: watches the commands to the actuators, and flies when there are none to follow."""
 
 from __future__ import annotations
 

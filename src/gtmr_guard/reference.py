@@ -204,7 +204,7 @@ class ReferenceGuard:
 
         f = self.R.T @ force
         upright = f[2] / math.sqrt(f @ f)
-        # Turn the thrust axis, body e3, into the wanted force; heading is nobody's concern. Upside
+        # Turn the thrust axis, body e3, into the wanted force; heading is left free. Upside
         # down, turn by way of outward, so that thrust does not sweep across the tower.
         aim = self.R.T @ outward if upright < -UPSIDE_DOWN else f
         sine = math.sqrt(aim[0] * aim[0] + aim[1] * aim[1])

@@ -50,7 +50,7 @@ def read_yaml(path: str | Path) -> Any:
     YAML, or is beyond any other bound.
     """
     try:
-        # Opened without waiting: a pipe that nobody writes to would be waited for.
+        # Opened without blocking: a pipe without a writer would block.
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
         try:
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):

@@ -147,7 +147,7 @@ class Controller:
         t : float
             Time of the measurement, its stamp [s].
         x : array_like, shape (12 + N_p,)
-            State [p, eta, v, omega, xi]: m, rad, m/s, rad/s, Hz; yaw may be wrapped round.
+            State [p, eta, v, omega, xi]: m, rad, m/s, rad/s, Hz; yaw may be wrapped.
         now : float, optional
             Time from which the command acts, and the plan begins [s]: the state is predicted up
             to it with the inputs that were sent. The stamp if left out.

@@ -281,7 +281,7 @@ class NmpcNode(SuiteNode):
         if delay_s > self._most_delay_s:
             clock = self.resolve_topic_name(topics.CLOCK.name)
             if self._delay.simulated_ns is not None and self.count_publishers(clock) > 1:
-                # Of several simulations nobody knows whose time it is.
+                # With several simulations it is not known which one's time it is.
                 self._delay.last_s = None
                 return 0.0
         return delay_s

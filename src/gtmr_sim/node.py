@@ -268,7 +268,7 @@ class SimNode(SuiteNode):
         self._diagnose()
 
     def _resend(self) -> None:
-        """Publish a state that nobody answers again: a message may be lost while nodes match."""
+        """Publish a state again that has no answer: some are lost while nodes connect."""
         if self._session.paused or not self._session.awaits_command:
             return
         if time.monotonic() - self._published_at >= RESEND_PERIOD_S and self._is_heard():
@@ -361,7 +361,7 @@ class SimNode(SuiteNode):
             )
         self._diagnostics.publish(
             diagnostics.encode(
-                # Nobody else knows the time that is made here.
+                # Simulated time is known here first.
                 session.stamp_ns,
                 f"{diagnostics.source(self)}: simulator",
                 level,

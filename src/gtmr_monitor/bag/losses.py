@@ -36,7 +36,7 @@ class TopicLoss:
     head: int = 0
     """In front of the first that is left."""
     inside: int = 0
-    """In between, or nobody knows where."""
+    """In between, or it is not known where."""
     tail: int = 0
     """Behind the last that is left."""
 
@@ -155,7 +155,7 @@ class FileTally:
             else:
                 total = max(0, expected.get(topic, 0) - self.read[topic])
                 head = min(head, total) if self.read[topic] else 0
-                # Without numbers nobody knows where they were.
+                # Without sequence numbers it is not known where they were.
                 where_unknown = topic in self.read and not self._is_numbered(topic)
                 inside = total if where_unknown else min(inside, total - head)
                 loss = TopicLoss(head, inside, total - head - inside)

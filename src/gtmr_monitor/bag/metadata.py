@@ -122,5 +122,5 @@ def read_contents(folder: Path) -> Contents | None:
         )
     except FileNotFoundError:
         return None
-    except Exception as error:  # whatever a broken file makes YAML raise
+    except Exception as error:  # a broken file makes YAML raise anything
         raise ValueError(f"{path}: {error}") from None

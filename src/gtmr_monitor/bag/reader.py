@@ -199,7 +199,7 @@ class _FileReader:
                 self._chunked = True
                 try:
                     inside = breakup_chunk(record, validate_crc=True)
-                except Exception:  # whatever damaged data make the decompressor raise
+                except Exception:  # damaged data make the decompressor raise anything
                     self._damage(cause.CHUNK)
                     return
                 for each in inside:

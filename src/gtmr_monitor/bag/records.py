@@ -158,7 +158,7 @@ def _parse(data: bytes, at: int, end: int) -> tuple[McapRecord | Passed | None, 
             whole = length >= _MESSAGE_FIXED_BYTES
             return (Message.read(content, length), size) if whole else (None, 0)
         record = _LAYOUTS[opcode](content)
-    except Exception:  # whatever a damaged record makes the library raise
+    except Exception:  # a damaged record makes the library raise anything
         return None, 0
     return (record, size) if content.count == length else (None, 0)
 

@@ -46,7 +46,7 @@ class _Channel:
 class _File:
     """A new file without a buffer, so that nothing is left behind in a killed process.
 
-    It is locked until it is closed or its process ends, so that nobody takes it for torn off.
+    It is locked until it is closed or its process ends, so that no reader takes it for a torn one.
     """
 
     def __init__(self, path: Path) -> None:
@@ -291,7 +291,7 @@ class BagWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close the bag, whatever happened in the block."""
+        """Close the bag, also after an exception in the block."""
         self.close()
 
     def _give_up(self, error: OSError) -> None:

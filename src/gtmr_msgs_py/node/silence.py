@@ -74,7 +74,7 @@ class Silence:
         if not self._is_due():
             self._heard_s = None
         if self._heard_s is None or self.silent or was_held_up:
-            # Who was held up has messages waiting that nobody has read.
+            # A node that was held up has messages waiting that it has not read.
             return
         if now_s - self._heard_s > max(SILENT_S, INTERVALS * self._interval_s):
             self.silent = True

@@ -237,7 +237,7 @@ static void stay(gtmr_controller *c)
     memcpy(c->last.u, c->u, sizeof c->u);
 }
 
-/* Rotor limits are hard: a step that breaks them is no solution, whatever the solver thinks. */
+/* Rotor limits are hard: a step that breaks them is no solution, even if the solver says so. */
 static int breaks_rotor_limits(const gtmr_controller *c)
 {
     int broken = 0;
