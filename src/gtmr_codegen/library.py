@@ -30,7 +30,7 @@ FLAGS = (
     "-std=c99",
     "-fPIC",
     "-march=native",
-    # Neither changes a result: nothing reads libm's errno or at floating-point exceptions.
+    # Neither changes a result: nothing reads libm's errno or floating-point exceptions.
     "-fno-math-errno",
     "-fno-trapping-math",
 )
@@ -49,9 +49,9 @@ def load_library(
     """Load the library that C sources make, compiling them unless the user's cache has it.
 
     Compiling takes a while, and says so in a line on stderr. Any number of processes may ask for
-    the same library at once; one of them compiles it. A file in the cache that is not as it was
-    written there, or is not the user's own, is never loaded but made again. Raises CompileError if
-    there is no compiler, or it fails, or what it made can be neither written nor loaded.
+    the same library at once; one of them compiles it. A file in the cache that was changed, or is
+    not the user's own, is never loaded but made again. Raises CompileError if there is no
+    compiler, or it fails, or what it made can be neither written nor loaded.
     """
     compiler = _compiler()
     parts = [*compiler, *FLAGS, _version(compiler), _cpu()]

@@ -28,18 +28,18 @@ from gtmr_sim.worlds.wind import hover_drag, make_wind
 Array = NDArray[np.float64]
 
 WATCH_PERIOD_S = 0.025
-"""Between two looks of the guard while a plan is in charge, at most [s]."""
+"""Longest time between two checks of the guard while a plan is in charge [s]."""
 GUARD_PERIOD_S = 0.005
-"""Between two of its looks while it is in charge itself, at most [s]."""
+"""Longest time between two of its steps while it is in charge itself [s]."""
 WARM_UP_S = 1.0
-"""How long the guard has watched a vehicle before its flight, where it is measured [s]."""
+"""How long the guard observes a vehicle before its flight, if odometry has noise [s]."""
 MAX_GUARD_DELAY_S = 0.2
 """Delay beyond which the guard slows no further [s]."""
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """What rotors shall do from a plant step on, a row every plan step."""
+    """Commands for the rotors from a plant step on, one row for each plan step."""
 
     start: int
     """When the plan begins, in plant steps."""
@@ -48,7 +48,7 @@ class _Plan:
     setpoints_hz: Array | None
     """Rotor speeds at the plan steps [Hz], shape (N + 1, N_p); none if the plan has none."""
     usable: bool
-    """Whether it is one that rotors can be told."""
+    """Whether it can be sent to the rotors."""
 
 
 class Simulation:
@@ -122,7 +122,7 @@ class Simulation:
         self._draw_gust()
 
     def _warm_up(self, guard: Guard) -> None:
-        """Let the guard watch a vehicle on its way to the start: noise is no speed then."""
+        """Let the guard observe a vehicle before the start, until noise is no speed to it."""
         helix, tower, x = self.scenario.helix, self.scenario.tower, self.x.copy()
         step_s = self.scenario.step_s
         # With random numbers of its own, or the guard would change the flight's.
@@ -154,7 +154,7 @@ class Simulation:
             )
 
     def reconfigure(self, scenario: Scenario) -> None:
-        """Go on in another scenario: with another zeta, other gusts, other bounds.
+        """Continue in another scenario: with another zeta, other gusts, other bounds.
 
         The next gust sample is the first of the new gusts, which begin with the seed. What the
         flight began with, such as its vehicle, stays.

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Says at once that something which came steadily has stopped: a node that is gone, or its link.
+"""Reports quickly that a steady stream of messages has stopped: its node is gone, or the link.
 
 Deadlines and liveliness of the middleware would need publishers that promise them: an estimator or
 a controller that is not ours promises neither, and then would not be heard at all.
