@@ -125,7 +125,7 @@ class Simulation:
         """Let the guard observe a vehicle before the start, until noise is no speed to it."""
         helix, tower, x = self.scenario.helix, self.scenario.tower, self.x.copy()
         step_s = self.scenario.step_s
-        # With random numbers of its own, or the guard would change the flight's.
+        # With random numbers of its own, so that the guard does not change those of the flight.
         sensor = Sensor(
             self.scenario.world.odometry, self.scenario.rng("guard"), step_s, self._act
         )
@@ -280,7 +280,7 @@ class Simulation:
             self._plan = self._coming.pop(0)[1]
 
     def advance(self, duration_s: float) -> None:
-        """Fly on, playing the plan."""
+        """Fly, playing the plan."""
         end = self._step + self._steps("duration_s", duration_s)
         while self._step < end:
             into_plan = (self._step - self._plan.start) % self._plan_step
@@ -308,7 +308,7 @@ class Simulation:
 
     @property
     def _awaits_first_plan(self) -> bool:
-        """Whether the first plan has come and is not due yet: rotors hold their speeds so long."""
+        """Whether the first plan has come and is not due yet: rotors hold their speeds."""
         return bool(self._coming) and self._plan.u is self._no_plan and self._plan.usable
 
     def _input(self) -> Array:
@@ -334,7 +334,7 @@ class Simulation:
         return change / (self._plan_step * self.scenario.step_s)
 
     def _guarded(self, guard: Guard, u: Array) -> tuple[Array, int]:
-        """Let the guard look if it is time; gives the input, and when it looks next."""
+        """Step the guard if it is time; returns the input, and when the next step is."""
         period = self._act if guard.active else self._watch
         if self._step % period == 0:
             step_s, age = self.scenario.step_s, self._step - self._plan.start
@@ -348,7 +348,7 @@ class Simulation:
         return (self._guard_input if guard.active else u), until
 
     def _sight(self) -> Array:
-        """Show the guard the state measured last, no numbers where nothing new arrived."""
+        """Give the guard the newest measured state, NaN if nothing new arrived."""
         newest = self._newest()
         if newest is None or newest[0] <= self._seen:
             return np.full_like(self.x, np.nan)

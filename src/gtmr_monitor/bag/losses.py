@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What a bag lacks of what was recorded into it, found out while it is being read."""
+"""What is missing in a bag, found while it is read."""
 
 import json
 from collections import Counter, defaultdict
@@ -34,11 +34,11 @@ class TopicLoss:
     """How many messages of a topic cannot be read, and where they were."""
 
     head: int = 0
-    """In front of the first that is left."""
+    """Before the first that is left."""
     inside: int = 0
     """In between, or it is not known where."""
     tail: int = 0
-    """Behind the last that is left."""
+    """After the last that is left."""
 
     @property
     def total(self) -> int:
