@@ -61,7 +61,7 @@ def coloured_noise(
 
     What it gives is called for the next sample, one number a filter.
     """
-    # Imported here, as it takes longer than the rest of a flight's start.
+    # Here, as it takes longer to import than all else of a flight's start.
     from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
 
     a = block_diag(*(f[0] for f in filters))
