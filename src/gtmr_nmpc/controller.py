@@ -64,7 +64,7 @@ class Controller:
     Raises
     ------
     ValueError
-        If the mode is unknown, or a margin of one's own is to enter with its gradient.
+        If the mode is unknown, or a margin of your own is to enter with its gradient.
     """
 
     def __init__(

@@ -30,7 +30,7 @@ def make_gust(scenario: Scenario) -> Gust:
     The function registered under the scenario's kind gets the scenario, from which it takes its
     random numbers (``scenario.rng("gust")``), and the kind's ``parameters`` as arguments. It
     returns a `Gust`, which is called once every hold period. Raises ValueError when a gust of
-    one's own gives anything but three finite numbers.
+    your own gives anything but three finite numbers.
     """
     kind, bound = scenario.gust.kind, scenario.uncertainty.gust_n
     gust = GUSTS[kind](scenario, **scenario.gust.parameters)
