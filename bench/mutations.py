@@ -162,7 +162,7 @@ MUTATIONS = [
         "self.min_clearance_m - self.clearance(position)",
         "self.clearance(position) - self.min_clearance_m",
         "tests/monitor/test_residual.py::"
-        "test_of_positions_round_the_tower_agrees_with_the_distance_to_its_axis",
+        "test_of_positions_around_the_tower_agrees_with_the_distance_to_its_axis",
     ),
     (
         "src/gtmr_sim/session.py",

@@ -34,7 +34,7 @@ NODES = {
 INTRODUCTION = """\
 # Topics, services and parameters
 
-Written by `docs/interfaces.py` from the code; a test holds the two together.
+Generated from the code by `docs/interfaces.py`; a test keeps the two equal.
 
 Names are relative, so that namespaces and remaps work, unless they start with a slash. Frames
 are `map` (ENU) and `base_link` (FLU).
@@ -44,7 +44,7 @@ LAUNCH_FILES = """\
 
 `inspection.launch.py` flies, `compare.launch.py` flies nominal and robust side by side,
 `replay.launch.py bag:=...` plays a bag to controller and monitor. `--show-args` lists what each
-takes; what is not given is left to the parameter file.
+takes. What is not given comes from the parameter file.
 
 | argument | in | meaning |
 | --- | --- | --- |
@@ -55,11 +55,11 @@ takes; what is not given is left to the parameter file.
 | `controller:=` | all | name of a preset, or path of a .yaml file, as that of its world |
 | `bag:=` | all | new folder to record into; for replay the bag to play |
 | `record:=` | replay | new folder to record into |
-| `rate:=`, `loop:=` | replay | how many times as fast; whether to begin again |
-| `lockstep:=` | inspection | wait for the command of every odometry: always the same flight |
+| `rate:=`, `loop:=` | replay | how many times as fast as recorded; whether to repeat |
+| `lockstep:=` | inspection | wait for the command for every odometry: the flight is repeatable |
 | `zeta:=`, `sample_zeta:=` | inspection, compare | true mismatch and wind bias, or drawn |
-| `seed:=` | inspection, compare | of gusts, and of what is drawn |
-| `real_time_factor:=` | inspection, compare | simulated per wall time |
+| `seed:=` | inspection, compare | of the gusts, and of the mismatch if it is drawn |
+| `real_time_factor:=` | inspection, compare | simulated time per wall time |
 | `duration_s:=` | inspection, compare | end of the flight [s]; 0 is never |
 | `namespace:=`, `log_level:=` | all | of all nodes |
 | `respawn:=3` | all | how often a controller or monitor that failed is started again |
@@ -67,21 +67,22 @@ takes; what is not given is left to the parameter file.
 | `rviz:=true`, `foxglove:=true` | all | viewers |
 | `address:=` | all | where foxglove_bridge listens; 127.0.0.1 if left out |
 
-Every process ends with the launch, the launch with the first node that ends for good, and with
-exit code 1 if that failed. Who can reach the nodes is in [security.md](security.md).
+Every process ends with the launch. The launch ends with the first node that ends for good, with
+exit code 1 if that node failed. Who can reach the nodes is in [security.md](security.md).
 """
 DIAGNOSTICS = """\
-Once a second, and at once when something stops or someone else takes charge. Figures beside those
-of the controller, the flight and the bag:
+They are published once a second, and at once when something stops or the guard takes charge.
+Beside the figures of the controller, the flight and the bag there are:
 
-- `dropped_undecodable` (all): bytes that are no such message, or whose numbers mean nothing.
+- `dropped_undecodable` (all): bytes that are not such a message, or numbers that make no sense.
 - `dropped_frame` (nmpc, monitor): odometry of other frames than `world_frame` and `body_frame`.
 - `dropped_vehicle` (nmpc, sim): other rotors, by number or name.
-- `dropped_late` (all): behind what came before. What is at most 0.5 s late the monitor counts as
-  `late_odometry`, and uses.
+- `dropped_late` (all): older than what came before. What is at most 0.5 s late the monitor
+  counts as `late_odometry`, and uses.
 - `dropped_future` (all): more than 1 s ahead of what came before, unless three in a row agree.
-- `dropped_jump` (nmpc): odometry that no vehicle can have come to, unless it lasts 0.1 s.
-- `callback_errors` (all): messages at which a node failed, and went on; the log says where.
+- `dropped_jump` (nmpc): odometry that the vehicle cannot have reached, unless it lasts 0.1 s.
+- `callback_errors` (all): messages at which a callback failed; the node goes on, the log says
+  where.
 - `delay_s` (nmpc): age of the odometry by simulated time, or else the computer's; `unknown` if its
   stamps are of neither clock, or of one of several simulations.
 - `withheld_commands` (nmpc): steps that sent no command, for the reason in the message: odometry
@@ -90,25 +91,25 @@ of the controller, the flight and the bag:
 - `guard`, `guard_cause`, `guard_time_s` (sim): whether the guard is in charge, why, and for how
   long it was.
 
-A message of each cause is warned of at once, and then every 5 s. Time that goes back by more than
-0.5 s, or to zero, is another flight once three messages in a row agree. Odometry or commands that
-came at 20 Hz or faster and stop are told within 0.2 s by a wall clock: deadlines of the middleware
-would shut out every publisher that does not promise one. Where the simulator waits for commands,
-in lockstep, `delay_s` is 0 at any real-time factor.
+Each cause is logged as a warning at once, and then every 5 s. Time that goes back by more than
+0.5 s, or to zero, begins another flight once three messages in a row agree. Odometry or commands
+that came at 20 Hz or faster and stop are reported within 0.2 s of wall time. (Deadlines of the
+middleware would exclude every publisher that does not offer one.) Where the simulator waits for
+commands, in lockstep, `delay_s` is 0 at any real-time factor.
 """
 PARAMETERS = """\
 A parameter marked *in flight* may change while the node runs, by `ros2 param set`, its service,
-or several at once by `set_parameters_atomically`: it counts from the next controller or
-simulator step on. All others are read-only after the start. A value that is refused changes
-nothing, and the answer says why. Files of parameters for all nodes are in `config/ros`; every
+or several at once by `set_parameters_atomically`: it takes effect at the next controller
+or simulator step. All others are read-only after the start. A value that is refused changes
+nothing, and the reply says why. Files of parameters for all nodes are in `config/ros`; every
 node also has what every ROS 2 node has, such as `use_sim_time`. `config/parameters.yaml` has every
 parameter with its default, to copy from.
 
 A name that does not exist is refused at the start, on the command line and in files. A section
-for any node (`/**`) may name what only some nodes of the suite have.
+for all nodes (`/**`) may contain parameters that only some nodes have.
 
 After a switch of `mode` the margins come or go over `switch_time_s`, so that the commands make
-no jump. `tower.min_clearance_m` is known to each node by itself: set it in all three.
+no jump. Each node has its own `tower.min_clearance_m`: set it in all three.
 """
 
 

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""CasADi expressions written out as plain C99, several points a call."""
+"""CasADi expressions as plain C99, several points in a call."""
 
 import casadi as ca
 

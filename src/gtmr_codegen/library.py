@@ -30,7 +30,7 @@ FLAGS = (
     "-std=c99",
     "-fPIC",
     "-march=native",
-    # Neither changes a result: nobody looks at libm's errno or at floating-point exceptions.
+    # Neither changes a result: nothing reads libm's errno or floating-point exceptions.
     "-fno-math-errno",
     "-fno-trapping-math",
 )
@@ -49,9 +49,9 @@ def load_library(
     """Load the library that C sources make, compiling them unless the user's cache has it.
 
     Compiling takes a while, and says so in a line on stderr. Any number of processes may ask for
-    the same library at once; one of them compiles it. A file in the cache that is not as it was
-    written there, or is not the user's own, is never loaded but made again. Raises CompileError if
-    there is no compiler, or it fails, or what it made can be neither written nor loaded.
+    the same library at once; one of them compiles it. A file in the cache that was changed, or is
+    not the user's own, is never loaded but made again. Raises CompileError if there is no
+    compiler, or it fails, or what it made can be neither written nor loaded.
     """
     compiler = _compiler()
     parts = [*compiler, *FLAGS, _version(compiler), _cpu()]
@@ -145,7 +145,7 @@ def _cache_folder() -> Path | None:
 
 
 def _is_own(status: os.stat_result) -> bool:
-    """Whether nobody but this user can have written it."""
+    """Whether only this user can have written it."""
     writable_by_others = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
     return status.st_uid == os.getuid() and not writable_by_others
 
@@ -164,7 +164,7 @@ def _turn(folder: Path | None) -> Iterator[None]:
 
 
 def _find(folder: Path | None, key: str) -> Path | None:
-    """Find an entry that is what its name says; clear away what only pretends to be."""
+    """Find an entry whose content matches the hash in its name; remove those that do not."""
     if folder is None:
         return None
     for entry in folder.glob(f"{key}-*.so"):

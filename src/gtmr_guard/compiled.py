@@ -33,7 +33,7 @@ def c_sources(n_rotors: int) -> dict[str, str]:
 
 
 class CompiledGuard:
-    """A guard's memory and its step in C; CompileError if it is not to be had.
+    """A guard's memory and its step in C; CompileError if it cannot be compiled.
 
     Speaks of itself as `GuardLaw` says.
     """

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What the guard is told beside the vehicle and the tower: limits, times and gains."""
+"""Settings of the guard beside the vehicle and the tower: limits, times and gains."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class GuardConfig(YamlModel):
     zone_ratio: float = Field(0.5, ge=0.0, le=1.0)
     """Share of d_min below which the vehicle must move outward [-]."""
     zone_time_s: float = Field(0.5, gt=0.0)
-    """How long it may fail to [s]."""
+    """How long it may stay without moving outward [s]."""
     reaction_s: float = Field(0.3, ge=0.0)
     """Time until its braking takes effect [s]."""
     brake_m_s2: float = Field(2.0, gt=0.0)
@@ -58,9 +58,9 @@ class GuardConfig(YamlModel):
     delay_s: float = Field(0.0, ge=0.0, le=0.2)
     """Delay of measurements and lag of motors together, for which it slows its gains [s]."""
     handback_s: float = Field(0.1, gt=0.0)
-    """How long all must be well before the controller flies again [s]."""
+    """How long all conditions must hold before the controller flies again [s]."""
     fresh_s: float = Field(0.06, gt=0.0)
-    """How old a plan may be for that: what it began with was not flown [s]."""
+    """How old a plan may be to hand back to it: its first inputs were not flown [s]."""
     position_filter_rad_s: float = Field(8.0, gt=0.0)
     """Poles of the estimate of velocity and disturbing acceleration [rad/s]."""
     attitude_filter_rad_s: float = Field(20.0, gt=0.0)
@@ -134,9 +134,9 @@ SLOWED = (
     "rate_gain",
     "rotor_gain",
 )
-"""What delay slows."""
+"""Fields that a delay makes slower."""
 HALVING_DELAY_S = 0.06
-"""Delay for which all of it is halved [s]."""
+"""Delay that halves all of them [s]."""
 TORQUE_RESERVE = 0.1
 """Share of the rotors' range of squared speeds that thrust leaves to torque at either end [-]."""
 

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The guard: watches what the actuators are told, and flies where nobody else does."""
+"""The guard: watches the commands to the actuators, and flies when there are none to follow."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from gtmr_model import Tower, Vehicle
 
 
 class GuardLaw(Protocol):
-    """What C and NumPy do alike."""
+    """What the C and the NumPy implementation have in common."""
 
     def reset(self) -> None:
         """Forget the flight."""
@@ -76,7 +76,7 @@ class Guard:
         self._law.reconfigure(parameters(self._vehicle, tower, self._config))
 
     def step(self, dt_s: float, x: Array, u_due: Array, overdue_s: float, age_s: float) -> Array:
-        """Look at the vehicle and at the plan in play, and say what the rotors shall do.
+        """Check the vehicle and the plan in play, and return the command for the rotors.
 
         Parameters
         ----------

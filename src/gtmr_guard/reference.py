@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The guard's law in NumPy, step for step as in C: its oracle, and what flies without C."""
+"""The guard's law in NumPy, the same steps as in C: its oracle, and the fallback."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ than whose negative is upside down [-]."""
 MAX_TURN_RAD_S = 3.0
 """Most body rate that it asks for [rad/s]."""
 ROUNDING_HZ2 = 1e-6
-"""Change of a squared rotor speed that is none [Hz^2]."""
+"""Change of a squared rotor speed that counts as zero [Hz^2]."""
 MIN_LIFT = 0.3
 """Least part of the weight that the wanted force lifts [-]."""
 
@@ -129,7 +129,7 @@ class ReferenceGuard:
         self.v, self._thrust = limited(v, MAX_V_M_S), thrust
 
     def _is_usable(self, u_due: Array) -> bool:
-        """Whether a command is one that rotors can be told; no number is not."""
+        """Whether a command can be sent to rotors; NaN cannot."""
         return bool((np.abs(u_due) <= self._is.max_command_hz_s).all())
 
     def _decide(self, dt: float, u_due: Array, overdue_s: float, age_s: float) -> None:
@@ -204,7 +204,7 @@ class ReferenceGuard:
 
         f = self.R.T @ force
         upright = f[2] / math.sqrt(f @ f)
-        # Turn the thrust axis, body e3, into the wanted force; heading is nobody's concern. Upside
+        # Turn the thrust axis, body e3, into the wanted force; heading is left free. Upside
         # down, turn by way of outward, so that thrust does not sweep across the tower.
         aim = self.R.T @ outward if upright < -UPSIDE_DOWN else f
         sine = math.sqrt(aim[0] * aim[0] + aim[1] * aim[1])
@@ -218,7 +218,7 @@ class ReferenceGuard:
 
         low, high = k.min_rotor_speed_hz**2, k.max_rotor_speed_hz**2
         squared = k.inverse[:, 2] * min(max(f[2], k.min_thrust_n), k.max_thrust_n)
-        # Roll and pitch go before sideways force, and all before yaw, whose torque is dear.
+        # Roll and pitch come before sideways force, and yaw last, as its torque is expensive.
         squared = within(squared, k.inverse[:, 3:5] @ torque[:2], low, high)
         if upright > UPSIDE_DOWN:
             squared = within(squared, k.inverse[:, :2] @ f[:2], low, high)
@@ -247,7 +247,7 @@ def limited(a: Array, bound: float) -> Array:
 
 
 def within(base: Array, more: Array, low: float, high: float) -> Array:
-    """Add as much of what is asked for more as stays between the bounds."""
+    """Add as much of a further request as the bounds allow."""
     share = 1.0
     for b, m in zip(base, more, strict=True):
         if m > ROUNDING_HZ2 and b + share * m > high:

@@ -23,7 +23,7 @@ from gtmr_model.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 ClearanceOf = Literal["centre", "airframe"]
-"""Of what the clearance is constrained: of the position p, or of the nearest rotor disc."""
+"""What the clearance is of: the position p, or the nearest rotor disc."""
 
 N_POSE = ATTITUDE.stop
 """Length of [p, eta], the states that the clearance of the airframe depends on."""
@@ -132,7 +132,7 @@ def airframe_constraint(vehicle: Vehicle) -> ClearanceConstraint:
     tower, sizes = Tower().symbolic()
     pose, direction = ca.SX.sym("pose", N_POSE), ca.SX.sym("direction", N_POSE)
     discs = disc_distances(pose, vehicle)
-    # Where exponents are counted from makes no difference to the value, nor to its derivatives.
+    # The offset of the exponents changes neither the value nor its derivatives.
     nearest = ca.SX.sym("nearest")
     blended = nearest - BLEND_M * ca.log(ca.sum1(ca.exp((nearest - discs) / BLEND_M)))
     y = tower.min_clearance_m - (blended - tower.radius_m)

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Equations of motion of the GTMR, eq. (3), once: symbolic, with a NumPy face."""
+"""Equations of motion of the GTMR, eq. (3): written once in symbols, callable with NumPy."""
 
 from functools import lru_cache
 from typing import Any

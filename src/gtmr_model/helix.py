@@ -40,7 +40,7 @@ class Helix(ReferencePath):
 
     @classmethod
     def required(cls, path: ReferencePath) -> Helix:
-        """Take a reference for a helix where nothing else will do, or raise a ConfigError."""
+        """Return a reference that must be a helix, or raise a ConfigError."""
         if not isinstance(path, cls):
             raise ConfigError(f"helix.kind = {path.kind!r}: for this it must be 'helix'")
         return path

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What is followed: a path in time, of which position and yaw are formulas, eq. (2)."""
+"""The reference: a path in time whose position and yaw are formulas, eq. (2)."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -109,7 +109,7 @@ class ReferencePath(OneOfKinds):
 
 @cache
 def reference_function(form: ReferencePath) -> ca.Function:
-    """Differentiate a form of path, whatever its numbers.
+    """Differentiate a form of path, for any values of its numbers.
 
     Returns
     -------

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Reads YAML that anyone may have written: plain data, within bounds, or one line that says why.
+"""Reads YAML from untrusted authors: plain data within bounds, or an error in one line.
 
 Only what configurations are made of is read: text, numbers, yes and no, lists and mappings. A tag
 that stands for anything else, and so for code, is refused.
@@ -24,11 +24,11 @@ import yaml
 MAX_BYTES = 256 * 1024
 """Largest file; the longest configuration that comes with the suite has 4 KiB."""
 MAX_DEPTH = 20
-"""How many lists and mappings may stand in one another."""
+"""How deeply lists and mappings may be nested."""
 MAX_VALUES = 10_000
 """How many values there may be, each counted as often as aliases repeat it."""
 PLAIN_TAGS = ("bool", "float", "int", "map", "merge", "null", "seq", "str")
-"""What there may be, by the names of YAML 1.1."""
+"""Types that are allowed, by the names of YAML 1.1."""
 
 
 class ConfigError(ValueError):
@@ -39,7 +39,7 @@ class ConfigError(ValueError):
 
 
 def printable(text: str) -> str:
-    """Write what cannot be printed, line ends among it, as Python's escapes."""
+    """Write characters that cannot be printed, line ends too, as Python's escapes."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
@@ -50,7 +50,7 @@ def read_yaml(path: str | Path) -> Any:
     YAML, or is beyond any other bound.
     """
     try:
-        # Opened without waiting: a pipe that nobody writes to would be waited for.
+        # Opened without blocking: a pipe without a writer would block.
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
         try:
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
@@ -133,7 +133,7 @@ class _PlainLoader(yaml.SafeLoader):
         return node
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
-        """Refuse a key that is there twice: the last would win without a word."""
+        """Refuse a key that occurs twice: the last would win silently."""
         node = super().compose_mapping_node(anchor)
         seen = set()
         for key, _ in node.value:

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Frozen, validated data with a YAML face: the base of every configuration in the suite."""
+"""Frozen, validated data that YAML files can hold: the base of every configuration."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ def describe(error: ValidationError) -> str:
     For example ``mass_kg = -1.0: Input should be greater than 0``.
     """
     problems = []
-    # A default that was not made, for want of what is wrong already, is no problem of its own.
+    # A default that could not be made because of another wrong field is no problem of its own.
     found = [e for e in error.errors() if e["type"] != "default_factory_not_called"]
     for problem in found[:MAX_PROBLEMS]:
         field = ".".join(str(part) for part in problem["loc"])
         reason = problem["msg"].removeprefix("Value error, ")
-        # What is read by its name says itself what it is.
+        # A preset's own message names the field already.
         reason = reason.removeprefix(f"{field.rpartition('.')[2]} = {_shown(problem['input'])}: ")
         if problem["type"] == "missing":
             problems.append(f"{field} is missing")
@@ -90,7 +90,7 @@ class YamlModel(BaseModel):
             raise ConfigError(f"{source}: {describe(error)}") from None
 
     def symbolic(self) -> tuple[Self, ca.SX]:
-        """Put symbols in the place of the numbers: the formulas then give expressions.
+        """Replace the numbers by symbols: the formulas then give expressions.
 
         The symbols come with it, in the order of `numbers`.
         """

@@ -9,8 +9,8 @@
 """The loop of plant, observer and controller, linearised about hover beside the tower.
 
 While no inequality is active the controller is linear, and what gusts, noise and mismatch do to
-the clearance is read off the responses of this loop. The lag of motors is taken as made up for by
-the lead, a delay as the next whole number of steps.
+the clearance is read off the responses of this loop. The lead is assumed to cancel the lag of the
+motors, and a delay is rounded up to whole steps.
 """
 
 import itertools
@@ -109,12 +109,12 @@ def _model(config: ControllerConfig, zeta: Array) -> _Model:
 
 
 def _theta_input(model: _Model) -> Array:
-    """Let theta act: b and g as a force, tau as a torque, shape (n_x, 9)."""
+    """Input matrix of theta: b and g as a force, tau as a torque, shape (n_x, 9)."""
     return np.hstack([model.e_force, model.e_force, model.e_torque])
 
 
 def _decay(config: ControllerConfig) -> Array:
-    """Tell what is left of theta after a step, shape (9,)."""
+    """Share of theta that is left after a step, shape (9,)."""
     decay = np.ones(N_THETA)
     decay[GUST] = gust_decay(config)
     return decay
@@ -193,7 +193,7 @@ class ClosedLoop:
         self._plant = _model(config, zeta)
         self._believed = _model(config, np.zeros(N_ZETA))
         self._plan = _plan(config)
-        # Rather too late than too early.
+        # Rounded up: later is the cautious side.
         self._delay = math.ceil(config.delay_s / config.sampling_time_s - 1e-9)
 
     def gusts(self) -> Responses:
@@ -341,6 +341,6 @@ def l1_sequence(config: ControllerConfig, mode: Mode) -> tuple[float, ...]:
     """
     loop = ClosedLoop(config, mode, np.zeros(N_ZETA))
     radial = loop.gusts().radial[1:] @ loop.radial[POSITION]
-    # What is left at the end of the response is rounding, and so would be its signs.
+    # At its end the response is rounding, and so are its signs.
     counts = np.abs(radial) > 1e-9 * np.abs(radial).max()
     return tuple(np.where(counts & (radial < 0.0), -1.0, 1.0)[::-1].tolist())

@@ -30,7 +30,7 @@ MODES: tuple[Mode, ...] = ("nominal", "robust", "offset_free")
 """What the mode can be: the clearance constraint as in eq. (5), tightened as in eq. (15), or
 tightened by the margins of a closed loop that estimates its disturbances."""
 PAPER_MODES: tuple[Mode, ...] = ("nominal", "robust")
-"""Those that the paper compares."""
+"""The modes that the paper compares."""
 TighteningOrder = Literal["frozen", "gradient"]
 
 Weight = Annotated[float, Field(ge=0.0)]
@@ -98,7 +98,7 @@ class OffsetFree(YamlModel):
     disturbance: DisturbanceModel = DisturbanceModel()
     """What the observer looks for."""
     margin: SerializeAsAny[Margin] = ClosedLoopMargin()
-    """By what the clearance is tightened."""
+    """The margin that tightens the clearance."""
 
 
 class ControllerConfig(YamlModel):
@@ -121,7 +121,7 @@ class ControllerConfig(YamlModel):
     eps_s_m: float = Field(1e-3, ge=0.0)
     """eps_s, the small slack term in alpha_p, eq. (12) [m]; the paper does not report it."""
     margin: SerializeAsAny[Margin] = PaperMargin()
-    """What the robust mode keeps away by: the paper's, or another by its name and numbers."""
+    """The margin of the robust mode: the paper's, or another by its name and numbers."""
     tightening: TighteningOrder = "frozen"
     """How alpha_p enters the QP: held at the current iterate, or with its gradient (eq. 15)."""
     slack_l1: float = Field(1e4, gt=0.0)
@@ -130,13 +130,13 @@ class ControllerConfig(YamlModel):
     slack_l2: float = Field(1e4, gt=0.0)
     """Quadratic penalty on violating the tightened clearance at a stage [1/m^2]."""
     clearance_of: ClearanceOf = "centre"
-    """Of what the clearance is constrained: of the vehicle's centre, as in the paper, or of its
-    airframe, the nearest rotor disc. Margins then count how the attitude moves the discs; a QP
-    holds the attitude at the iterate's, so that to tilt or to turn is no way to keep clear."""
+    """What the clearance is of: the vehicle's centre, as in the paper, or its airframe, the
+    nearest rotor disc. Margins then count how the attitude moves the discs. Within a QP the
+    attitude is that of the iterate, so that tilting or turning is no way to keep clear."""
     switch_time_s: float = Field(1.0, ge=0.0, le=10.0)
-    """How long the margins take to come in, or to go, after the mode was switched in flight [s];
-    0 is at once, which jerks a vehicle that is inside the tightened shell. Chosen by measurement;
-    the paper does not switch."""
+    """How long margins take to come in, or to go, after the mode was switched in flight [s]; 0 is
+    at once, which jerks a vehicle that is inside the tightened shell. Chosen by measurement; the
+    paper does not switch."""
 
     offset_free: OffsetFree = OffsetFree()
     """What the mode ``offset_free`` has of its own."""

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The controller: a state in, a plan out; keeps the warm start from step to step."""
+"""The controller: takes a state, returns a plan, and keeps the warm start between steps."""
 
 import math
 import time
@@ -59,12 +59,12 @@ class Controller:
         What solves the problem, made for ``config`` and used by this controller alone; compiled
         if left out, interpreted where there is no compiler.
     margin : Margin, optional
-        A margin of one's own, instead of ``config.margin``: anything with its ``tightening``.
+        A margin of your own, instead of ``config.margin``: any object with ``tightening``.
 
     Raises
     ------
     ValueError
-        If the mode is unknown, or a margin of one's own is to enter with its gradient.
+        If the mode is unknown, or a margin of your own is to enter with its gradient.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class Controller:
             raise ValueError(f"mode = {mode!r}: allowed is {' or '.join(MODES)}")
         self._mode: Mode = mode
         if mode == "offset_free":
-            # What takes long is done here, and not in a step.
+            # What takes long is computed here, not in a step.
             self._deviations()
             self._observing()
         self._prepared: tuple[float, float, Blend] | None = None
@@ -147,7 +147,7 @@ class Controller:
         t : float
             Time of the measurement, its stamp [s].
         x : array_like, shape (12 + N_p,)
-            State [p, eta, v, omega, xi]: m, rad, m/s, rad/s, Hz; yaw may be wrapped round.
+            State [p, eta, v, omega, xi]: m, rad, m/s, rad/s, Hz; yaw may be wrapped.
         now : float, optional
             Time from which the command acts, and the plan begins [s]: the state is predicted up
             to it with the inputs that were sent. The stamp if left out.
@@ -193,7 +193,7 @@ class Controller:
         return self.feedback(t, x, now)
 
     def _take_shares(self, now: float) -> Blend:
-        """Let the modes come in or go: weights and disturbances of the next step."""
+        """Blend the modes: weights and disturbances of the next step."""
         switch_time_s = self.config.switch_time_s
         if self._last_t is None or switch_time_s == 0.0:
             blend = Blend.of(self._mode)

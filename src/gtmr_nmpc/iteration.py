@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What a controller needs of a real-time iteration that keeps its iterate to itself."""
+"""The interface between a controller and a real-time iteration, which keeps its own iterate."""
 
 from typing import NamedTuple, Protocol
 
@@ -79,7 +79,7 @@ class Iteration(Protocol):
         ...
 
     def tighten(self, tightening: Tightening) -> None:
-        """Let other margins than the paper's hold in the step that was prepared."""
+        """Use other margins than the paper's in the step that was prepared."""
         ...
 
     def feedback(self, x: Array) -> IterationResult:

@@ -147,7 +147,7 @@ class NmpcNode(SuiteNode):
         self._diagnostics = topics.DIAGNOSTICS.publisher(self)
 
     def connect(self) -> None:
-        """Take states."""
+        """Subscribe to states."""
         config = self._settings.value
         self._reconfigure(config)
         self.create_timer(
@@ -183,7 +183,7 @@ class NmpcNode(SuiteNode):
             self._controller.mode = parameters.mode
             self.get_logger().info(f"{parameters.mode} mode")
         self._controller.reconfigure(parameters)
-        # What was prepared is of no use any more; now it costs no time in the next step.
+        # The preparation is out of date; renewed here it costs no time in the next step.
         self._controller.prepare(self._acts_at_s(self._schedule.next_ns))
 
     def _acts_at_s(self, stamp_ns: int) -> float:
@@ -261,7 +261,7 @@ class NmpcNode(SuiteNode):
             self._withheld = ""
 
     def _withhold(self, reason: str) -> None:
-        """Say why no command is sent, at once where that is news."""
+        """Report why no command is sent, at once if the reason is new."""
         news, self._withheld = not self._withheld, reason
         self._withheld_steps += 1
         if news:
@@ -281,7 +281,7 @@ class NmpcNode(SuiteNode):
         if delay_s > self._most_delay_s:
             clock = self.resolve_topic_name(topics.CLOCK.name)
             if self._delay.simulated_ns is not None and self.count_publishers(clock) > 1:
-                # Of several simulations nobody knows whose time it is.
+                # With several simulations it is not known which one's time it is.
                 self._delay.last_s = None
                 return 0.0
         return delay_s
@@ -304,7 +304,7 @@ class NmpcNode(SuiteNode):
         if recorders == 0 or self._performance.steps > 0:
             return True
         counts = [p.get_subscription_count() for p in (self._tightening, self._solve_time)]
-        # The simulator listens to the command too.
+        # The simulator subscribes to the command too.
         counts.append(self._rotor_command.get_subscription_count() - 1)
         return min(counts) >= recorders
 

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What force and torque act beyond the nominal model: a Kalman filter of constant gains.
+"""Estimates the force and torque beyond the nominal model: a Kalman filter with constant gains.
 
 The rotors' speeds are measured, and what they do not explain of the motion is put down to theta =
 [b, g, tau]: a persistent force b and a gust force g, world frame [N], and a torque tau, body frame
@@ -119,7 +119,7 @@ def gains(config: ControllerConfig) -> Gains:
 
 def _filter_gain(a: Array, process: Array, measured: Array) -> Array:
     """Gain by which an innovation of the first two states corrects all of them."""
-    # Here, as it takes longer to import than all else of the controller.
+    # Imported here, as it takes longer than the rest of the controller.
     from scipy.linalg import solve_discrete_are
 
     c = np.eye(2, len(a))

@@ -30,7 +30,7 @@ def make_gust(scenario: Scenario) -> Gust:
     The function registered under the scenario's kind gets the scenario, from which it takes its
     random numbers (``scenario.rng("gust")``), and the kind's ``parameters`` as arguments. It
     returns a `Gust`, which is called once every hold period. Raises ValueError when a gust of
-    one's own gives anything but three finite numbers.
+    your own gives anything but three finite numbers.
     """
     kind, bound = scenario.gust.kind, scenario.uncertainty.gust_n
     gust = GUSTS[kind](scenario, **scenario.gust.parameters)
@@ -40,7 +40,7 @@ def make_gust(scenario: Scenario) -> Gust:
         if force.shape != (3,) or not np.isfinite(force).all():
             raise ValueError(f"gust {kind!r} gave {force} at {time_s:g} s: expected 3 forces [N]")
         norm = float(np.linalg.norm(force))
-        # A force of the bound itself may be a rounding longer, and stays as it is.
+        # A force at the bound may exceed it by rounding, and stays as it is.
         if norm <= bound * (1.0 + 1e-15):
             return force
         # The last factor keeps rounding from lifting the norm above the bound.

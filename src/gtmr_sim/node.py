@@ -44,7 +44,7 @@ DIAGNOSTICS_PERIOD_S = 1.0
 MARKERS_PERIOD_S = 0.2
 """Between two sets of markers, wall time [s]."""
 RESEND_PERIOD_S = 0.1
-"""How long a state stays unanswered before it is published again, wall time [s]."""
+"""How long a state waits for an answer before it is published again, wall time [s]."""
 DELIVERY_TIMEOUT_S = 2.0
 """How long the end of a flight waits for slow recorders, wall time [s]."""
 PACE_HELD = 0.9
@@ -54,7 +54,7 @@ WARNING_PERIOD_S = 5.0
 
 
 class SimParameters(Scenario, FrameParameters):
-    """The parameters of the node: the flight's scenario, and how time goes by."""
+    """The parameters of the node: the flight's scenario, and the pace of time."""
 
     sample_zeta: bool = False
     """Whether to draw zeta from the uncertainty set by the seed; ``zeta`` then tells it."""
@@ -65,8 +65,8 @@ class SimParameters(Scenario, FrameParameters):
     real_time_factor: float = Field(1.0, ge=0.0, le=100.0)
     """Simulated time per wall time, at most [s/s]; 0 is as fast as possible, in lockstep only."""
     odometry_rate_hz: float = Field(200.0, gt=0.0, le=1000.0)
-    """How often the state is published, simulated time [Hz]; in lockstep once per sampling time,
-    whatever is said here."""
+    """How often the state is published, simulated time [Hz]; in lockstep it is once per sampling
+    time instead."""
     duration_s: float = Field(0.0, ge=0.0)
     """When the flight is over and the node ends, simulated time [s]; 0 is never."""
     recorders: int = Field(0, ge=0, le=10)
@@ -156,12 +156,12 @@ class SimNode(SuiteNode):
         self._diagnostics = topics.DIAGNOSTICS.publisher(self)
 
     def connect(self) -> None:
-        """Take commands, and let time go by."""
+        """Subscribe to commands, and start the time."""
         scenario = self._settings.value
         self._session.reconfigure(scenario)
         self.create_service(topics.RESET.service, topics.RESET.name, self._reset)
         self.create_service(topics.PAUSE.service, topics.PAUSE.name, self._pause)
-        # Simulated time is this node's product: its own timers go by a clock that it cannot stop.
+        # This node makes the simulated time, so its own timers use a clock that it cannot stop.
         wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(scenario.tick_s, self._tick, clock=wall)
         self._set_pace()
@@ -216,7 +216,7 @@ class SimNode(SuiteNode):
                 self.tell_parameters()
             self._tick_if_unpaced()
         elif first or plan.stamp_ns != self._played_ns:
-            # The same plan again answers a state that was published again.
+            # A repeated plan answers a state that was published again.
             now_ns = self._session.stamp_ns
             raise MessageError(
                 f"rotor_command for {stamps.seconds(plan.stamp_ns)} s at "
@@ -225,7 +225,7 @@ class SimNode(SuiteNode):
             )
 
     def _tick_if_unpaced(self) -> None:
-        """Without a pace, time goes on as soon as it may."""
+        """Without a real-time factor, time advances as soon as it may."""
         # Where nothing new was measured no command comes, and nothing else would wake the node.
         while self._settings.value.real_time_factor == 0.0 and self._session.ready:
             self._tick()
@@ -256,7 +256,7 @@ class SimNode(SuiteNode):
         self._published_at = time.monotonic()
 
     def _tell_guard(self) -> None:
-        """Say at once who takes charge, and why."""
+        """Report at once whether the guard takes charge, and why."""
         cause = self._session.guard_cause
         if cause == self._guard_told:
             return
@@ -268,7 +268,7 @@ class SimNode(SuiteNode):
         self._diagnose()
 
     def _resend(self) -> None:
-        """Publish a state that nobody answers again: a message may be lost while nodes match."""
+        """Publish a state again that has no answer: some are lost while nodes connect."""
         if self._session.paused or not self._session.awaits_command:
             return
         if time.monotonic() - self._published_at >= RESEND_PERIOD_S and self._is_heard():
@@ -284,7 +284,7 @@ class SimNode(SuiteNode):
         return min(p.get_subscription_count() for p in (self._odometry, self._rotor_states))
 
     def _missing(self) -> str:
-        """Say who keeps the flight from starting."""
+        """Say which node keeps the flight from starting."""
         commands = self.count_publishers(self.resolve_topic_name(topics.ROTOR_COMMAND.name))
         recorders = self._settings.value.recorders - (self._listeners() - min(commands, 1))
         missing = [] if commands else ["a controller"]
@@ -331,7 +331,7 @@ class SimNode(SuiteNode):
         scenario, session, now = self._settings.value, self._session, time.monotonic()
         then, then_ns = self._reported
         if now - then > 0.5 * DIAGNOSTICS_PERIOD_S:
-            # What is told out of turn says nothing of the pace.
+            # A message between two periods says nothing about the pace.
             self._reported = (now, session.stamp_ns)
             self._pace_held = stamps.seconds(session.stamp_ns - then_ns) / (now - then)
         held = self._pace_held
@@ -361,7 +361,7 @@ class SimNode(SuiteNode):
             )
         self._diagnostics.publish(
             diagnostics.encode(
-                # Nobody else knows the time that is made here.
+                # Simulated time is known here first.
                 session.stamp_ns,
                 f"{diagnostics.source(self)}: simulator",
                 level,

@@ -92,9 +92,9 @@ class Plant:
         """The true mismatch and wind bias from now on, eq. (4), shape (9,)."""
         self.x: Array = np.array(x, dtype=float)
         self.setpoints_hz: Array = self.x[ROTORS].copy() if world.motors else np.zeros(0)
-        """What the motors are told now [Hz], shape (N_p,); (0,) where there are none."""
+        """Setpoints of the motors now [Hz], shape (N_p,); (0,) if there are none."""
         self.air_m_s: Array = np.zeros(3 if world.wind else 0)
-        """Velocity of the air from now on, world frame, shape (3,) [m/s]; (0,) in no wind."""
+        """Velocity of the air from now on, world frame, shape (3,) [m/s]; (0,) without wind."""
         self._tower = tower
         self._least = float(self.x[0] * self.x[0] + self.x[1] * self.x[1])
 

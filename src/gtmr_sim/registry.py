@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Gusts and vehicle effects by name: one's own beside those that come with the suite."""
+"""Gusts and vehicle effects by name: your own, and those that come with the suite."""
 
 from collections.abc import Callable
 from importlib.metadata import entry_points

@@ -38,7 +38,7 @@ shares of the bound towards the tower, none: those that come with the suite."""
 
 
 Purpose = Literal["zeta", "gust", "odometry", "wind", "guard"]
-"""What random numbers are drawn for."""
+"""Purposes for which random numbers are drawn."""
 
 
 def _effects(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -51,7 +51,7 @@ EffectNames = Annotated[tuple[str, ...], AfterValidator(_effects)]
 
 
 def whole_steps(name: str, time_s: float, part: str, part_s: float) -> int:
-    """How often a part fits into a time [s]; ConfigError naming both if no whole number."""
+    """How many times a part fits into a time [s]; ConfigError if it is no whole number."""
     ratio = time_s / part_s
     if not (ratio < math.inf and round(ratio) >= 1 and abs(ratio - round(ratio)) < 1e-6):
         raise ConfigError(
@@ -80,7 +80,7 @@ class GustConfig(YamlModel):
     """What ``l1`` plays over and over: shares of the bound, inward, one a hold period [-]. The
     worst one for a controller is the sign of its closed loop's impulse response."""
     parameters: dict[str, float] = Field(default_factory=dict)
-    """Numbers of a model of one's own, by the names of its function's arguments."""
+    """Numbers of a model of your own, by the names of its function's arguments."""
 
     @model_validator(mode="after")
     def _takes(self) -> Self:
@@ -92,7 +92,7 @@ class GustConfig(YamlModel):
         return self
 
     def require_sequence(self) -> None:
-        """Raise ConfigError if `l1` is to play a sequence that pushes nowhere."""
+        """Raise ConfigError if `l1` has a sequence of zeros."""
         if self.kind == "l1" and not any(self.sequence):
             raise ConfigError(
                 f"gust.sequence = {list(self.sequence)}: gust 'l1' needs shares of the bound, "
@@ -106,7 +106,7 @@ class Scenario(YamlModel):
     vehicle: NamedVehicle = Field(default_factory=Vehicle.paper)
     """Nominal parameters, from which ``zeta`` deviates."""
     tower: Tower = Tower()
-    """What is flown around."""
+    """The tower."""
     helix: SerializeAsAny[ReferencePath] = Helix()
     """Where the flight starts: on the reference, at its velocity."""
     start_offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)

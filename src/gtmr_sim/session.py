@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A flight as other processes see it: it waits, flies, pauses, and ends."""
+"""A flight as a state machine for other processes: it waits, flies, pauses, and ends."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Session:
         return round(self._simulation.scenario.world.odometry.delay_s * NANOSECONDS)
 
     def reconfigure(self, scenario: Scenario) -> None:
-        """Fly on in another scenario."""
+        """Continue in another scenario."""
         self._simulation.reconfigure(scenario)
 
     def reset(self) -> None:
@@ -102,7 +102,7 @@ class Session:
 
     @property
     def awaits_command(self) -> bool:
-        """Whether time stands still for want of a command."""
+        """Whether time stands still because a command is missing."""
         return not self.started or (self._lockstep and self._unanswered)
 
     @property

@@ -28,18 +28,18 @@ from gtmr_sim.worlds.wind import hover_drag, make_wind
 Array = NDArray[np.float64]
 
 WATCH_PERIOD_S = 0.025
-"""Between two looks of the guard while a plan is in charge, at most [s]."""
+"""Longest time between two checks of the guard while a plan is in charge [s]."""
 GUARD_PERIOD_S = 0.005
-"""Between two of its looks while it is in charge itself, at most [s]."""
+"""Longest time between two of its steps while it is in charge itself [s]."""
 WARM_UP_S = 1.0
-"""How long the guard has watched a vehicle before its flight, where it is measured [s]."""
+"""How long the guard observes a vehicle before its flight, if odometry has noise [s]."""
 MAX_GUARD_DELAY_S = 0.2
 """Delay beyond which the guard slows no further [s]."""
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """What rotors shall do from a plant step on, a row every plan step."""
+    """Commands for the rotors from a plant step on, one row for each plan step."""
 
     start: int
     """When the plan begins, in plant steps."""
@@ -48,7 +48,7 @@ class _Plan:
     setpoints_hz: Array | None
     """Rotor speeds at the plan steps [Hz], shape (N + 1, N_p); none if the plan has none."""
     usable: bool
-    """Whether it is one that rotors can be told."""
+    """Whether it can be sent to the rotors."""
 
 
 class Simulation:
@@ -122,10 +122,10 @@ class Simulation:
         self._draw_gust()
 
     def _warm_up(self, guard: Guard) -> None:
-        """Let the guard watch a vehicle on its way to the start: noise is no speed then."""
+        """Let the guard observe a vehicle before the start, until noise is no speed to it."""
         helix, tower, x = self.scenario.helix, self.scenario.tower, self.x.copy()
         step_s = self.scenario.step_s
-        # With random numbers of its own, or the guard would change the flight's.
+        # With random numbers of its own, so that the guard does not change those of the flight.
         sensor = Sensor(
             self.scenario.world.odometry, self.scenario.rng("guard"), step_s, self._act
         )
@@ -154,7 +154,7 @@ class Simulation:
             )
 
     def reconfigure(self, scenario: Scenario) -> None:
-        """Go on in another scenario: with another zeta, other gusts, other bounds.
+        """Continue in another scenario: with another zeta, other gusts, other bounds.
 
         The next gust sample is the first of the new gusts, which begin with the seed. What the
         flight began with, such as its vehicle, stays.
@@ -280,7 +280,7 @@ class Simulation:
             self._plan = self._coming.pop(0)[1]
 
     def advance(self, duration_s: float) -> None:
-        """Fly on, playing the plan."""
+        """Fly, playing the plan."""
         end = self._step + self._steps("duration_s", duration_s)
         while self._step < end:
             into_plan = (self._step - self._plan.start) % self._plan_step
@@ -308,7 +308,7 @@ class Simulation:
 
     @property
     def _awaits_first_plan(self) -> bool:
-        """Whether the first plan has come and is not due yet: rotors hold their speeds so long."""
+        """Whether the first plan has come and is not due yet: rotors hold their speeds."""
         return bool(self._coming) and self._plan.u is self._no_plan and self._plan.usable
 
     def _input(self) -> Array:
@@ -334,7 +334,7 @@ class Simulation:
         return change / (self._plan_step * self.scenario.step_s)
 
     def _guarded(self, guard: Guard, u: Array) -> tuple[Array, int]:
-        """Let the guard look if it is time; gives the input, and when it looks next."""
+        """Step the guard if it is time; returns the input, and when the next step is."""
         period = self._act if guard.active else self._watch
         if self._step % period == 0:
             step_s, age = self.scenario.step_s, self._step - self._plan.start
@@ -348,7 +348,7 @@ class Simulation:
         return (self._guard_input if guard.active else u), until
 
     def _sight(self) -> Array:
-        """Show the guard the state measured last, no numbers where nothing new arrived."""
+        """Give the guard the newest measured state, NaN if nothing new arrived."""
         newest = self._newest()
         if newest is None or newest[0] <= self._seen:
             return np.full_like(self.x, np.nan)

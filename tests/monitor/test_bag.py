@@ -174,7 +174,7 @@ def test_a_type_that_jazzy_does_not_have_is_refused(tmp_path):
 @pytest.mark.parametrize("name", ["missing", "folder", "text.mcap", "empty.mcap", "photo.png"])
 def test_what_is_not_a_bag_is_named_in_one_line(tmp_path, name):
     (tmp_path / "folder").mkdir()
-    (tmp_path / "text.mcap").write_text("Dear diary, today I flew round a tower.")
+    (tmp_path / "text.mcap").write_text("Dear diary, today I flew around a tower.")
     (tmp_path / "empty.mcap").touch()
     (tmp_path / "photo.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
 

@@ -65,7 +65,7 @@ def test_at_exactly_the_minimum_clearance_nothing_is_violated():
     assert residual_statistics([-0.1, 0.0], 0.2)["violated"] is False
 
 
-def test_of_positions_round_the_tower_agrees_with_the_distance_to_its_axis():
+def test_of_positions_around_the_tower_agrees_with_the_distance_to_its_axis():
     tower = Tower()
     angle = np.linspace(0.0, 6.0, 50)
     radius = np.linspace(1.15, 1.5, 50)

@@ -20,15 +20,16 @@ from rclpy.node import Node
 
 from gtmr_model import YamlModel
 from gtmr_monitor.node import MonitorNode, MonitorParameters
-from gtmr_msgs_py import topics
 from gtmr_msgs_py.node.declarations import declarations
 from gtmr_msgs_py.node.parameters import ModelParameters
 from gtmr_nmpc.node import NmpcNode, NmpcParameters
 from gtmr_sim.node import SimNode, SimParameters
 
 ROOT = Path(__file__).parents[2]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-PAGES = [README, *(p.read_text(encoding="utf-8") for p in (ROOT / "docs").glob("*.md"))]
+PAGES = [
+    page.read_text(encoding="utf-8")
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
+]
 NODES = {
     "sim": (SimNode, SimParameters),
     "nmpc": (NmpcNode, NmpcParameters),
@@ -89,17 +90,6 @@ def test_what_is_generated_is_up_to_date(file, text):
 @pytest.mark.parametrize("name", NODES)
 def test_the_file_of_all_parameters_is_that_of_the_defaults(load, name):
     assert load(name, ROOT / "config" / "parameters.yaml") == NODES[name][1]()
-
-
-def test_the_topics_of_the_readme_are_those_of_the_code():
-    table = README.partition("## Topics")[2].partition("##")[0]
-    rows = [line.split("|") for line in table.splitlines() if line.startswith("| `")]
-    told = {(n, t) for _, names, t, *_ in rows for n in re.findall("`([^`]+)`", names)}
-    types = {topic.name: topic.type_name.replace("/msg/", "/") for topic in topics.TOPICS}
-    told_types = {name: re.match(r"[\w/ ]+", text)[0].strip() for name, text in told}
-    assert {n: t for n, t in told_types.items() if n != "tf"} == {
-        n: t for n, t in types.items() if n != "tf"
-    }
 
 
 @pytest.mark.parametrize("name", NODES)

@@ -53,7 +53,7 @@ def test_tilt_and_rotor_spread_do_not_grow(flights):
         tilt = np.abs(log.x[:, 3:5]).max(axis=1)
         spread = np.ptp(log.x[:, 12:], axis=1)
         assert tilt.max() < 0.1, (name, mode)
-        # Thirds of the flight, each longer than a turn round the tower; the tail of the
+        # Thirds of the flight, each longer than a turn around the tower; the tail of the
         # distribution rather than its maximum, which a single gust decides.
         for quantity, slack in ((tilt, 0.01), (spread, 3.0)):
             first, *later = (np.percentile(part, 90) for part in np.array_split(quantity, 3))

@@ -345,7 +345,7 @@ static void retreat(gtmr_guard *g, double *u)
     in_body(g->R, force, wrench);
     upright = wrench[2] / sqrt(dot(wrench, wrench));
 
-    /* Turn the thrust axis, body e3, into the wanted force; heading is nobody's concern. Upside
+    /* Turn the thrust axis, body e3, into the wanted force; heading is left free. Upside
      * down, turn by way of outward, so that thrust does not sweep across the tower. */
     in_body(g->R, upright < -UPSIDE_DOWN ? outward : force, aim);
     sine = sqrt(aim[0] * aim[0] + aim[1] * aim[1]);

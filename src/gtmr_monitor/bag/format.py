@@ -25,7 +25,7 @@ def typestore() -> Typestore:
 
 
 def without_tail(data: bytes, msgtype: str) -> bytes:
-    """Cut off what Fast DDS leaves behind a message that it serialises in memory.
+    """Cut off the padding that Fast DDS leaves after a message that it serialises in memory.
 
     It reserves padding in front of elements that an empty sequence does not have, and hands it
     out at the end of the buffer; strict readers take that for a damaged message. What comes over

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What a bag lacks of what was recorded into it, found out while it is being read."""
+"""What is missing in a bag, found while it is read."""
 
 import json
 from collections import Counter, defaultdict
@@ -34,11 +34,11 @@ class TopicLoss:
     """How many messages of a topic cannot be read, and where they were."""
 
     head: int = 0
-    """In front of the first that is left."""
+    """Before the first that is left."""
     inside: int = 0
-    """In between, or nobody knows where."""
+    """In between, or it is not known where."""
     tail: int = 0
-    """Behind the last that is left."""
+    """After the last that is left."""
 
     @property
     def total(self) -> int:
@@ -155,7 +155,7 @@ class FileTally:
             else:
                 total = max(0, expected.get(topic, 0) - self.read[topic])
                 head = min(head, total) if self.read[topic] else 0
-                # Without numbers nobody knows where they were.
+                # Without sequence numbers it is not known where they were.
                 where_unknown = topic in self.read and not self._is_numbered(topic)
                 inside = total if where_unknown else min(inside, total - head)
                 loss = TopicLoss(head, inside, total - head - inside)

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What rosbag2's metadata.yaml says of a bag: its files, its topics, their quality of service."""
+"""The metadata.yaml of rosbag2: the files of a bag, its topics, their quality of service."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ ROS_DISTRO = "jazzy"
 FILE_NAME = "metadata.yaml"
 """Beside the MCAP files of a bag."""
 DRAFT_NAME = "metadata.yaml.tmp"
-"""It before it is whole."""
+"""Its name while it is being written."""
 MENDING_NAME = ".mending"
 """Folder in which a file that was torn off is made whole."""
 LEFTOVERS = (FILE_NAME, DRAFT_NAME, MENDING_NAME)
@@ -61,7 +61,7 @@ class OfferedQos:
 
 @dataclass(frozen=True)
 class Contents:
-    """What a metadata.yaml says there is in a bag."""
+    """The content of a bag according to its metadata.yaml."""
 
     files: tuple[str, ...]
     """Names of its MCAP files, in order."""
@@ -73,7 +73,7 @@ class Contents:
 
 @dataclass(frozen=True)
 class FileTotals:
-    """What there is in one MCAP file of a bag."""
+    """The content of one MCAP file of a bag."""
 
     name: str
     """Of the file."""
@@ -122,5 +122,5 @@ def read_contents(folder: Path) -> Contents | None:
         )
     except FileNotFoundError:
         return None
-    except Exception as error:  # whatever a broken file makes YAML raise
+    except Exception as error:  # a broken file makes YAML raise anything
         raise ValueError(f"{path}: {error}") from None

@@ -182,7 +182,7 @@ class _FileReader:
                 self.expected = {names[channel]: n for channel, n in counts.items()}
 
     def _require_records(self, data: bytes) -> None:
-        """Tell a bag whose first bytes are damaged from what is no bag."""
+        """Distinguish a bag whose first bytes are damaged from a file that is no bag."""
         first = next((record for _, record in walk(data, 0, len(data))), Damaged(True))
         if isinstance(first, Damaged) and first.to_the_end:
             raise BagError(f"{self._path}: not a bag: this is not an MCAP file")
@@ -199,13 +199,13 @@ class _FileReader:
                 self._chunked = True
                 try:
                     inside = breakup_chunk(record, validate_crc=True)
-                except Exception:  # whatever damaged data make the decompressor raise
+                except Exception:  # damaged data make the decompressor raise anything
                     self._damage(cause.CHUNK)
                     return
                 for each in inside:
                     yield from self._take(each)
             case Message() if self._chunked:
-                # No writer has both; something else was damaged into looking like one.
+                # No writer makes both: a damaged record looks like one.
                 self._damage(cause.RECORD)
             case Schema() | Channel() | Message():
                 yield from self._take(record)

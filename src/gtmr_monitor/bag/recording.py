@@ -32,7 +32,7 @@ _VALUE_FIELDS = (
 )  # fmt: skip
 
 STRAY_NS = 500_000_000
-"""What goes on by less than this [ns] has no room for a reset in between."""
+"""Between stamps closer than this [ns] there is no reset."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Recording:
     ground_truth: list[Recorded]
     """The true state, of the same flight; none if that was not recorded."""
     before_reset: list[Recorded]
-    """The same, of what was flown before the simulation was last reset."""
+    """The same, from before the last reset of the simulation."""
     rotor_states: list[Recorded]
     """Speeds [rad/s]."""
     commands: list[Recorded]
@@ -190,7 +190,7 @@ def last_flight(received: list[Recorded]) -> tuple[list[Recorded], list[Recorded
 
 
 def changes(events: Iterable[BagMessage], dropped: Counter[str]) -> list[Change]:
-    """Read what nodes told of their parameters, in order; count what cannot be decoded."""
+    """Read the parameters that nodes published, in order; count what cannot be decoded."""
     told = []
     for item in decoded(events, dropped):
         parameters = (*item.message.new_parameters, *item.message.changed_parameters)

@@ -49,7 +49,7 @@ _INDEX = struct.Struct("<HI")
 _MESSAGE_FIXED_BYTES = 22
 _FOOTER_BYTES = 20
 _PRIVATE = 0x80
-"""Opcodes from here on are anybody's own, and to be passed over."""
+"""Opcodes from here on are private, and are skipped."""
 _LAYOUTS: dict[int, Callable[[ReadDataStream], Any]] = {
     Opcode.HEADER: Header.read,
     Opcode.FOOTER: Footer.read,
@@ -68,7 +68,7 @@ _LAYOUTS: dict[int, Callable[[ReadDataStream], Any]] = {
 # A record begins with its opcode and its length, here below 4 GiB.
 _MAYBE_RECORD = re.compile(rb"(?=[\x01-\x0f][\s\S]{4}\x00{4})")
 _SURE_ENOUGH = 3
-"""So many records that follow each other are no accident."""
+"""So many consecutive records are no coincidence."""
 
 
 class Damaged:
@@ -80,12 +80,12 @@ class Damaged:
 
 
 class Passed:
-    """A record that readers have no use for: an index of messages, or somebody's own."""
+    """A record that readers do not need: an index of messages, or a private one."""
 
 
 @dataclass
 class Summary:
-    """What the end of a file says of the rest."""
+    """What the summary at the end of a file says."""
 
     begin: int
     """Where it begins, which is where the data end [bytes]."""
@@ -158,7 +158,7 @@ def _parse(data: bytes, at: int, end: int) -> tuple[McapRecord | Passed | None, 
             whole = length >= _MESSAGE_FIXED_BYTES
             return (Message.read(content, length), size) if whole else (None, 0)
         record = _LAYOUTS[opcode](content)
-    except Exception:  # whatever a damaged record makes the library raise
+    except Exception:  # a damaged record makes the library raise anything
         return None, 0
     return (record, size) if content.count == length else (None, 0)
 

@@ -46,7 +46,7 @@ class _Channel:
 class _File:
     """A new file without a buffer, so that nothing is left behind in a killed process.
 
-    It is locked until it is closed or its process ends, so that nobody takes it for torn off.
+    It is locked until it is closed or its process ends, so that no reader takes it for a torn one.
     """
 
     def __init__(self, path: Path) -> None:
@@ -72,7 +72,7 @@ class _File:
         pass
 
     def discard(self, path: Path) -> None:
-        """Take away the file, which nothing worth keeping was written into."""
+        """Remove the file, into which nothing worth keeping was written."""
         self._raw.close()
         path.unlink(missing_ok=True)
 
@@ -106,7 +106,7 @@ class BagWriter:
         self.messages = 0
         """How many messages were written."""
         self.unflushed = 0
-        """How many of them a failure of the medium would take along."""
+        """How many of them a failure of the disk would lose."""
         self._flush_period_s = flush_period_s
         self._channels: dict[str, _Channel] = {}
         self._schemas: dict[str, int] = {}
@@ -129,7 +129,7 @@ class BagWriter:
         try:
             self._mcap.start(profile="ros2")
             self._mcap.flush()
-            # It would hide this file from whoever believes it.
+            # It would hide this file from readers that rely on it.
             (self.folder / metadata.FILE_NAME).unlink(missing_ok=True)
         except OSError as error:
             self._file.discard(self._path)
@@ -143,7 +143,7 @@ class BagWriter:
 
     @property
     def size_bytes(self) -> int:
-        """What the operating system has of the bag so far [bytes]."""
+        """How much of the bag the operating system has [bytes]."""
         return self._intact_bytes
 
     def add_topic(self, name: str, msgtype: str, qos: OfferedQos | None = None) -> None:
@@ -291,7 +291,7 @@ class BagWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close the bag, whatever happened in the block."""
+        """Close the bag, also after an exception in the block."""
         self.close()
 
     def _give_up(self, error: OSError) -> None:

@@ -27,7 +27,7 @@ DRAWN_HEIGHT_M = 20.0
 DRAWN_HUB_RADIUS_M = 0.03
 """Least radius of a drawn propeller disc [m], for vehicles that do not tell theirs."""
 DRAWN_THRUST_M_PER_N = 0.06
-"""Length of a thrust arrow per thrust [m/N]; at hover it is about a propeller's diameter."""
+"""Length of a thrust arrow per thrust [m/N]; at hover about the diameter of a propeller."""
 DRAWN_TEXT_M = 0.2
 """Height of letters, and of the text above the vehicle [m]."""
 DRAWN_STAGE_HEIGHT_M = 0.03
@@ -160,7 +160,7 @@ def vehicle(vehicle: Vehicle, x: ArrayLike) -> list[Marker]:
 def guard(position: ArrayLike, cause: str) -> list[Marker]:
     """Write above the vehicle, at its position in the world frame [m], why the guard is in charge.
 
-    Without a cause it is not, and what was written is taken away.
+    Without a cause it is not in charge, and the text is removed.
     """
     text = _marker("guard", 0, Marker.TEXT_VIEW_FACING, ALARM, (0.0, 0.0, DRAWN_TEXT_M))
     text.action = Marker.ADD if cause else Marker.DELETE

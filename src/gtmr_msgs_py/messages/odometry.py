@@ -8,8 +8,8 @@
 
 """Position, attitude, velocity and body rates as nav_msgs/Odometry.
 
-The state has its velocity in the world frame, the message in the child frame: it is rotated here
-and nowhere else.
+The state has its velocity in the world frame, the message in the child frame: it is rotated only
+here.
 """
 
 from functools import lru_cache

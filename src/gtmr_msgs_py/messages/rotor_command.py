@@ -24,10 +24,11 @@ from gtmr_msgs_py.wire.reading import read
 
 @dataclass(frozen=True)
 class RotorPlan:
-    """What the rotors shall do over the horizon."""
+    """Commands for the rotors over the horizon."""
 
     stamp_ns: int
-    """From when it acts: that of the odometry that it was planned from, and the delay [ns]."""
+    """Time from which it acts: the stamp of the odometry that it was planned from, plus the delay
+    [ns]."""
     step_ns: int
     """T_s, time from one point to the next [ns]."""
     xi: NDArray[np.float64]
@@ -76,7 +77,7 @@ def pack(stamp_ns: int, step_ns: int, xi: ArrayLike, u: ArrayLike) -> bytes:
 
 
 class Reader:
-    """Reads commands out of bytes; one of the same shape as the last without a second look."""
+    """Reads commands from bytes; a command of the same layout as the last is not parsed again."""
 
     def __init__(self, n_rotors: int) -> None:
         self._n_rotors = n_rotors

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Where the vehicle is, as the transform from `map` to `base_link` that tf2 spreads.
+"""The vehicle's pose as the transform from `map` to `base_link`, for tf2.
 
 ``tf2_msgs`` comes with an installed ROS 2 and not with the wheels on PyPI: without it there is no
 transform, and every view of the suite still works, since all else is published in `map`.

@@ -6,4 +6,4 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What every node is: parameters, lifecycle, process, diagnostics."""
+"""What all nodes have in common: parameters, lifecycle, process, diagnostics."""

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What ROS parameters a configuration model becomes: one field, one parameter, no boilerplate.
+"""Declares a configuration model as ROS parameters: one parameter for each field.
 
 Nested models become dotted names. Description, unit, range and choices come from the field; what
 ROS cannot express is checked by building the model from the proposed values.
@@ -42,7 +42,7 @@ class Bounds:
     high: float | None = None
     """Largest value, or none."""
     text: str = ""
-    """The same in words; here alone is said that a bound itself is not allowed."""
+    """The same in words; only this tells that a bound itself is not allowed."""
 
     @classmethod
     def of(cls, constraints: Collection[Any]) -> Bounds:
@@ -184,7 +184,7 @@ def _ros_value(value: Any, annotation: Any) -> Any:
         annotation = get_args(annotation)[0]
     if get_origin(annotation) is tuple:
         item_type = get_args(annotation)[0]
-        # An empty list has no type in ROS: an empty text stands for no texts.
+        # An empty list has no type in ROS: a list with an empty text stands for it.
         none = [""] if item_type is str else []
         return [_ros_value(item, item_type) for item in value] or none
     if get_origin(annotation) is Literal:

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What a node says of itself once a second, as diagnostic_msgs/DiagnosticArray."""
+"""The status of a node, once a second, as diagnostic_msgs/DiagnosticArray."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Level(IntEnum):
 
 
 def source(node: Node) -> str:
-    """Say who is speaking: a node's name with its namespace, ``nmpc`` or ``hex1/nmpc``.
+    """Name the source: a node's name with its namespace, ``nmpc`` or ``hex1/nmpc``.
 
     Viewers group statuses by the part of their name before the colon.
     """

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Parameters that were given to a node but that it does not have: rclpy drops them in silence."""
+"""Parameters that were given to a node but that it does not have: rclpy ignores them silently."""
 
 from __future__ import annotations
 

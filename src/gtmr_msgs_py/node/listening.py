@@ -29,21 +29,21 @@ if TYPE_CHECKING:
 FROM_ANY_ESTIMATOR = (Odometry, JointState)
 """Messages that on a real vehicle come from elsewhere, often best effort."""
 PATIENT = QoSProfile(depth=2000, reliability=ReliabilityPolicy.RELIABLE)
-"""What a recorder asks for: in lockstep a simulator may well be faster than a recorder, and 2000
-messages of the control loop are a flight of 50 s."""
+"""QoS of a recorder: in lockstep a simulator may be faster than a recorder, and 2000 messages of
+the control loop are a flight of 50 s."""
 BEST_EFFORT = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""What it asks for where a publisher offers no more."""
+"""QoS of a recorder if a publisher offers no more."""
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 """Every event handler is one more thing to wait for, at every message of any topic."""
 
 Info = Mapping[str, int]
-"""What the middleware tells of a message."""
+"""What the middleware tells about a message."""
 OnMessage = Callable[..., None]
 """Gets a message as CDR bytes, and what the middleware tells of it as a second argument."""
 
 
 def listen(node: Node, topic: Topic, on_message: OnMessage) -> None:
-    """Listen so that nothing is lost, or so well as a publisher that is not ours allows."""
+    """Subscribe so that nothing is lost, or as reliably as another publisher allows."""
 
     def ask_for_less() -> None:
         # A best-effort subscription gets what either kind of publisher sends.
@@ -60,7 +60,7 @@ def listen(node: Node, topic: Topic, on_message: OnMessage) -> None:
 
 
 def take_what_arrived(node: Node) -> None:
-    """Hand on, at the end, the messages that came but that nobody has been told of."""
+    """Deliver, at the end, the messages that came but were not delivered yet."""
     for subscription in node.subscriptions:
         # That to the simulated time, which rclpy makes, is not told of anything else.
         told = len(signature(subscription.callback).parameters)
@@ -72,7 +72,7 @@ def take_what_arrived(node: Node) -> None:
 
 
 def received_ns(info: Info) -> int:
-    """Say when the middleware got a message [ns], as callbacks may wait; now if it is silent."""
+    """Time at which the middleware got a message [ns]; the present if it does not say."""
     return info["received_timestamp"] or time.time_ns()
 
 

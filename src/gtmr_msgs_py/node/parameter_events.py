@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The parameters of nodes as events, as a recorder wants them: the first values too."""
+"""The parameters of nodes as events for a recorder, with their first values."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 PARAMETER_EVENTS = Topic.of(contract.PARAMETER_EVENTS, qos_profile_parameter_events)
-"""Where every ROS 2 node tells of its parameters."""
+"""Topic on which every ROS 2 node publishes changes of its parameters."""
 
 
 def own_parameters(node: Node) -> ParameterEvent:

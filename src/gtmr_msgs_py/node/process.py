@@ -72,12 +72,12 @@ def run(
         try:
             node = make_node(managed)
         except RCLError as error:
-            # No participant, as where the security that is asked for cannot be had.
+            # No participant, for example if the requested security is not available.
             raise ConfigError(_reason(error)) from None
         refuse_unknown_names(node, command_line)
         if not managed:
             node.start()
-        # What start-up made lives as long as the process: no collection need look at it again.
+        # Objects from the start live as long as the process: no collection need visit them.
         gc.collect()
         gc.freeze()
         _spin(node, make_executor())
@@ -87,7 +87,7 @@ def run(
         sys.stderr.write(f"error: {error}\n")
         return BAD_INPUT
     except Exception as error:
-        # In the middle of a conversion in C, a KeyboardInterrupt is the cause of another error.
+        # During a conversion in C, a KeyboardInterrupt causes another error.
         if not isinstance(error.__cause__, KeyboardInterrupt):
             raise
     finally:

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Says at once that something which came steadily has stopped: a node that is gone, or its link.
+"""Reports quickly that a steady stream of messages has stopped: its node is gone, or the link.
 
 Deadlines and liveliness of the middleware would need publishers that promise them: an estimator or
 a controller that is not ours promises neither, and then would not be heard at all.
@@ -74,7 +74,7 @@ class Silence:
         if not self._is_due():
             self._heard_s = None
         if self._heard_s is None or self.silent or was_held_up:
-            # Who was held up has messages waiting that nobody has read.
+            # A node that was held up has messages waiting that it has not read.
             return
         if now_s - self._heard_s > max(SILENT_S, INTERVALS * self._interval_s):
             self.silent = True

@@ -33,9 +33,9 @@ class SuiteNode(LifecycleNode):
 
     def __init__(self, name: str, managed: bool) -> None:
         self.drops = Drops(self.warn)
-        """The messages that were not used, but for those that are counted elsewhere."""
+        """The messages that were not used, except those that are counted elsewhere."""
         self.callback_errors = 0
-        """How many messages made a callback fail, by no fault of theirs that was foreseen."""
+        """How many messages made a callback fail unexpectedly."""
         self._told_error_s = -WARNING_PERIOD_S
         super().__init__(name, enable_communication_interface=managed)
         self.connected = False
@@ -96,7 +96,7 @@ class SuiteNode(LifecycleNode):
         self._parameters_again.publish(event)
 
     def start(self) -> None:
-        """Do at once what lifecycle services else ask for.
+        """Do at once what lifecycle services would otherwise ask for.
 
         Raises ConfigError if a parameter cannot be used.
         """

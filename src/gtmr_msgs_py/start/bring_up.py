@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Configures and activates a managed node, in whatever state it is found.
+"""Configures and activates a managed node, whatever its state.
 
 ``python3 -m gtmr_msgs_py.start.bring_up NODE`` ends with exit code 0 once the node is active, and
 1 if it refuses, as with a parameter that cannot be used: its own log says why. Until the node is

@@ -49,7 +49,7 @@ def node_environment() -> dict[str, str]:
 
 
 def ros_environment(domain_id: int | None = None) -> dict[str, str]:
-    """Give the environment for nodes that find each other fast and nobody else, and end with us.
+    """Give the environment of nodes that find each other fast, no other nodes, and end with us.
 
     What the caller's environment sets already stays, but for ROS_DOMAIN_ID, 0 to 101, if one is
     given: it keeps graphs on one machine apart. See `node_environment`.

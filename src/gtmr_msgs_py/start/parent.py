@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Child processes end with the process that started them, whatever ends that, SIGKILL included."""
+"""Child processes end with the process that started them, even if that is ended by SIGKILL."""
 
 from __future__ import annotations
 

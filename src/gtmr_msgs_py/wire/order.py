@@ -102,7 +102,7 @@ class StampOrder:
         return Place.FUTURE if -behind_ns > FUTURE_NS else Place.NEXT
 
     def _follows(self, stamp_ns: int) -> bool:
-        """Whether a stamp bears out the one that was set aside just before."""
+        """Whether a stamp agrees with the one that was set aside just before."""
         return self._aside_ns is not None and 0 <= stamp_ns - self._aside_ns <= FUTURE_NS
 
     def admit(self, stamp_ns: int) -> bool:

@@ -6,4 +6,4 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What flies: the same iteration as C, generated for the problem."""
+"""The iteration that flies: C, generated for the problem."""

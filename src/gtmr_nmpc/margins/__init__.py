@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What the clearance constraint is tightened by: one margin a file, chosen by its name."""
+"""Margins that tighten the clearance constraint: one a file, chosen by name."""
 
 from gtmr_nmpc.margins.closed_loop import ClosedLoopMargin, Deviations
 from gtmr_nmpc.margins.fixed import FixedMargin

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The margin of who corrects what goes wrong: deviations of the closed loop from its plans."""
+"""The margin of a loop with feedback: deviations of the closed loop from its plans."""
 
 from __future__ import annotations
 

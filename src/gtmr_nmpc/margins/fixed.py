@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The margin of who knows no better: the same at every stage."""
+"""A constant margin, the same at every stage."""
 
 import numpy as np
 from numpy.typing import NDArray

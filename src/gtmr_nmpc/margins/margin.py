@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What a margin is: told the iterate, it says by how much to tighten every stage."""
+"""What a margin is: given the iterate, it returns by how much to tighten every stage."""
 
 from __future__ import annotations
 
@@ -106,12 +106,12 @@ class Margin(OneOfKinds):
     """Which margin."""
 
     def tightening(self, iterate: Iterate) -> Tightening | ArrayLike:
-        """Say by how much to tighten: as a whole, shape (N + 1,) [m], or by its parts."""
+        """Return by how much to tighten: the sum, shape (N + 1,) [m], or its parts."""
         raise NotImplementedError
 
 
 def tightening_of(margin: Margin, iterate: Iterate) -> Tightening:
-    """Ask a margin, and refuse with a ValueError what is no tightening of N + 1 stages."""
+    """Evaluate a margin; ValueError if the result is not a tightening of N + 1 stages."""
     stages, given = len(iterate.x), margin.tightening(iterate)
     if not isinstance(given, Tightening):
         given = Tightening.constant(np.atleast_1d(given))

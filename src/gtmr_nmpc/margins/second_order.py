@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The paper's margin carried to second order, which its conclusion leaves to the future."""
+"""The paper's margin to second order, which its conclusion names as future work."""
 
 from functools import lru_cache
 

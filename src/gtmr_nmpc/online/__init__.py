@@ -6,4 +6,4 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What running online takes, without ROS: when to step, what to believe, how one keeps up."""
+"""Running online, without ROS: when to step, which data to believe, how it keeps up."""

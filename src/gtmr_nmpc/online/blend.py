@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""How much of each mode is in force: a switch in flight takes a while, so that it is no bump."""
+"""The share of each mode that is in force: a switch takes a while, so that it makes no bump."""
 
 from __future__ import annotations
 

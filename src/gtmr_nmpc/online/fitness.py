@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Whether a plan is fit to be sent: the controller's own trouble is left to the guard."""
+"""Whether a plan is fit to be sent; if none is, the guard takes charge."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gtmr_model.dynamics import ATTITUDE, VELOCITY
 from gtmr_nmpc.solution import Solution
 
 FAILING_S = 0.1
-"""How long the solver may fail on end; until then the last plan is shifted on [s]."""
+"""How long the solver may fail without interruption; until then the last plan is shifted [s]."""
 MAX_SPEED_M_S = 10.0
 """Speed beyond which linear drag and the horizon's linearisation say nothing [m/s]."""
 

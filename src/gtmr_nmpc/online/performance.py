@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A running account of how the controller keeps up."""
+"""Running statistics of solve times, deadlines and solver statuses."""
 
 from collections import Counter, deque
 

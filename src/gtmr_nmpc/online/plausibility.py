@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Whether a vehicle can have moved from one odometry to the next as they say."""
+"""Whether the vehicle can have moved from one odometry message to the next."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ NOISE_M, NOISE_M_S, NOISE_RAD, NOISE_RAD_S = 0.2, 0.5, 0.2, 0.5
 """What any estimator may add between two odometries: position, speed, angle, body rate. Ten times
 the noise of a good one; a jump within them is no worse than noise."""
 DEVIATIONS = 10.0
-"""What one of stated noise may add, in its standard deviations [-]: of six numbers that are two
-measurements of three coordinates, not once in the life of a vehicle."""
+"""What an estimator of stated noise may add, in its standard deviations [-]: a difference of two
+measurements in three coordinates does not exceed it once in the life of a vehicle."""
 MARGIN = 2.0
 """Most acceleration that is believed, in those that all rotors at their limit give the lightest
 vehicle, for what no model has: wind, walls, contact [-]."""
 LASTING = 5
 """So many odometries in a row that agree with each other ..."""
 LASTING_NS = 100_000_000
-"""... over so long a time [ns], or for one and the same stamp, are believed whatever came before:
-an estimator that was set right, a vehicle that was hit."""
+"""... over so long a time [ns], or for one and the same stamp, are believed in spite of what came
+before: an estimator was corrected, or the vehicle was hit."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Reach:
 
 
 class Plausibility:
-    """Sets odometry aside that jumps as no vehicle can; believes it if it lasts."""
+    """Sets odometry aside that jumps further than a vehicle can; believes it if it lasts."""
 
     def __init__(self, vehicle: Vehicle, noise: OdometryNoise | None = None) -> None:
         self._reach = Reach.of(vehicle)
@@ -73,7 +73,7 @@ class Plausibility:
         self.reset()
 
     def reset(self) -> None:
-        """Believe whatever comes next, as a world began again."""
+        """Believe the next message: a world began again."""
         self._believed: tuple[int, Array] | None = None
         self._aside: list[tuple[int, Array]] = []
 
@@ -97,7 +97,7 @@ class Plausibility:
         return len(self._aside) >= LASTING and (lasted_ns >= LASTING_NS or lasted_ns == 0)
 
     def _jump(self, before: tuple[int, Array] | None, stamp_ns: int, x: Array) -> str:
-        """Say by how much a state is off what one before leads to; nothing if it may be."""
+        """Tell by how much a state is beyond what the one before allows; empty if not."""
         if before is None:
             return ""
         dt = max(0, stamp_ns - before[0]) / 1e9

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What was sent to the rotors, and where it has taken the vehicle since a measurement."""
+"""The plans that were sent, and the state that they have led to since a measurement."""
 
 import math
 from collections import deque
@@ -35,7 +35,7 @@ class _Plan:
 
 
 class Sent:
-    """The plans of the last while."""
+    """The plans that were sent recently."""
 
     def __init__(self, config: ControllerConfig) -> None:
         self._plans: deque[_Plan] = deque()

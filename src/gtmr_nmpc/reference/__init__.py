@@ -6,4 +6,4 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What the method looks like in NumPy: the oracle of the compiled code, and its fallback."""
+"""The method in NumPy: the oracle of the compiled code, and its fallback."""

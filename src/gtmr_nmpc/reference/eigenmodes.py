@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 class ClosedLoopModes:
     """Linearised closed loop of the nominal model and converged nominal controller.
 
-    In a frame that goes along with the helix the closed loop is time-invariant, so that its
+    In a frame that moves along the helix the closed loop is time-invariant, so that its
     eigenvalues tell which motions about the steady flight decay.
     """
 

@@ -217,7 +217,7 @@ class RealTimeIteration:
         u = prep.iterate.u.ravel()
         limit = vehicle.max_rotor_acceleration_hz_s
 
-        # A rotor that starts outside its limits is asked for no more than it can do.
+        # A rotor that starts outside its limits is asked only for what it can do.
         reach = limit * self.config.sampling_time_s * np.arange(1, n + 1)[:, None]
         lowest = np.minimum(vehicle.min_rotor_speed_hz, x[ROTORS] + reach)
         highest = np.maximum(vehicle.max_rotor_speed_hz, x[ROTORS] - reach)

@@ -6,4 +6,4 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What a vehicle meets beyond eq. (3): measurements, motors, wind and wall, an effect a file."""
+"""Effects beyond eq. (3): measurements, motors, wind and wall, one a file."""

@@ -19,7 +19,7 @@ from gtmr_model import Vehicle, YamlModel
 class Motors(YamlModel):
     """Motors with a speed loop: first-order lag within the limits of the vehicle.
 
-    RotorS (Furrer et al., 2016) models the motors of a hexarotor of 1.5 kg so, with 25 ms.
+    RotorS (Furrer et al., 2016) models the motors of a hexarotor of 1.5 kg like this, with 25 ms.
     """
 
     lag_s: float = Field(gt=0.0, le=0.5)

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Odometry as a sensor gives it: noisy, biased, late, seldom, and sometimes not at all."""
+"""Odometry as a sensor gives it: noisy, biased, late, at its own rate, with losses."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Amount = Annotated[float, Field(ge=0.0)]
 
 
 class Odometry(YamlModel):
-    """Measurement of the state; what is left out makes it the truth, at once."""
+    """Measurement of the state; with everything left out it is the truth, without delay."""
 
     position_std_m: Amount = 0.0
     """White noise of the position, per axis [m]."""
@@ -61,7 +61,7 @@ class Odometry(YamlModel):
 
     @property
     def is_truth(self) -> bool:
-        """Whether the state itself is told, at once."""
+        """Whether the measurement is the state itself, without delay."""
         return self == Odometry(bias_time_s=self.bias_time_s)
 
 

@@ -44,7 +44,7 @@ class Wind(YamlModel):
     open land (Justus and Mikhail, Geophys. Res. Lett. 1976)."""
     turbulence_m_s: Amount = 0.0
     """Standard deviation of the horizontal turbulence [m/s]: Dryden at low altitude, carried past
-    by the mean wind (MIL-F-8785C, Sec. 3.7). The tower leaves it as it is."""
+    by the mean wind (MIL-F-8785C, Sec. 3.7). The tower does not change it."""
     flow_around_tower: bool = False
     """Whether the mean wind flows around the tower: potential flow around a cylinder."""
     wake: bool = False

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A world: what a vehicle meets beyond eq. (3), in one file."""
+"""A world: the effects that a vehicle meets beyond eq. (3), in one file."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class World(YamlModel):
 
     @property
     def in_plant(self) -> World:
-        """What of it acts within the plant's steps, and is compiled into it."""
+        """The part that acts within the plant's steps, and is compiled into it."""
         wind = self.wind
         if wind is not None:
             wind = Wind(blade_drag_n_s_per_m_hz=wind.blade_drag_n_s_per_m_hz)
@@ -51,7 +51,7 @@ class World(YamlModel):
 
 
 PAPER = World()
-"""Eq. (3) alone: odometry is the truth, at once."""
+"""Eq. (3) alone: odometry is the truth, without delay."""
 
 
 def _by_name(value: Any) -> Any:
