@@ -99,7 +99,7 @@ def report_command(
     if any(is_campaign(path) for path in paths):
         if vehicle is not None:
             raise InputError(f"--vehicle = {vehicle!r}: allowed with bags, not with campaigns")
-        from gtmr_study.campaign.report import write_campaign_report
+        from gtmr_study.campaign.report.page import write_campaign_report
 
         written = write_campaign_report(paths, out)
     else:
