@@ -35,7 +35,7 @@ def test_every_dip_of_a_single_sample_survives():
 
     shown = kept(clearance)
 
-    assert len(shown) <= 6000
+    assert len(shown) <= 4000
     assert set(dips) <= set(shown)
 
 

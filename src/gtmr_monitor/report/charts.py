@@ -39,6 +39,8 @@ class Chart:
     """What it shows, in plain text, for those who do not see it."""
     title: str = ""
     """What is written above it, where its section has several."""
+    caption: str = ""
+    """What is written below it, in HTML."""
     share: float = 1.0
     """Its part of the width beside its neighbours; on a narrow page each has a row."""
     keys: Mapping[str, str] = field(default_factory=dict)
@@ -143,11 +145,12 @@ def charts_html(name: str, charts: Sequence[Chart]) -> str:
 def _html(name: str, chart: Chart) -> str:
     height_px = chart.figure.layout.height
     title = f"<h3>{escape(chart.title)}</h3>" if chart.title else ""
+    caption = f"<figcaption>{chart.caption}</figcaption>" if chart.caption else ""
     # Nothing inside may end the script element.
     spec = str(chart.figure.to_json()).replace("<", r"\u003c")
     return (
-        f'<figure style="flex-grow: {chart.share:g}">'
+        f'<figure style="--share: {chart.share:g}">'
         f'{title}<div class="chart" id="{name}" role="group" aria-label="{escape(chart.says)}" '
         f'style="min-height: {height_px}px"></div>'
-        f'<script type="application/json" data-chart="{name}">{spec}</script></figure>'
+        f'<script type="application/json" data-chart="{name}">{spec}</script>{caption}</figure>'
     )

@@ -54,7 +54,7 @@ def residual(flown: Flown) -> list[Chart]:
         limit(each, 0.0, _ABOVE_LIMIT)
         each.update_yaxes(range=between)
     return [
-        Chart(figure, "Clearance residual over time", "Over time", 3.0),
+        Chart(figure, "Clearance residual over time", "Over time", share=3.0),
         Chart(boxes, "Quartiles and extremes of the residual", "Quartiles and extremes"),
     ]
 
@@ -212,18 +212,18 @@ def solve_times(flown: Flown) -> list[Chart]:
             y=short(np.repeat(edges, 2)[1:-1]), mode="lines", fill="tozerox", name=line.label,
             line=pen(line, width=1.6), hovertemplate="%{x:.1f} % of steps near %{y:.2f} ms",
         )  # fmt: skip
-    highest_ms = edges[-1]
-    if np.isfinite(deadline := flown[0][0].deadline_ms):
-        highest_ms = max(highest_ms, 1.3 * deadline)
-        for each in (figure, share):
-            limit(each, deadline, "deadline T<sub>s</sub>")
+    deadline = flown[0][0].deadline_ms
+    highest_ms = np.nanmax([edges[-1], 1.6 * deadline])
     between = np.log10([edges[0], highest_ms]).tolist()
     for each in (figure, share):
         each.update_yaxes(type="log", tickvals=_TICKS_MS, range=between)
+    if np.isfinite(deadline):
+        for each in (figure, share):
+            limit(each, deadline, "deadline T<sub>s</sub>")
     figure.update_layout(legend_itemsizing="constant")
     share.update_layout(hovermode="closest")
     return [
-        Chart(figure, "Solve time of each step", "Over time", 2.0),
+        Chart(figure, "Solve time of each step", "Over time", share=2.0),
         Chart(share, "How solve times are distributed", "Distribution"),
     ]
 

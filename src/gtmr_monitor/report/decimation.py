@@ -12,8 +12,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_POINTS = 6000
-"""So many points a curve of a page has at most: four for each pixel of a wide one."""
+MOST_POINTS = 4000
+"""So many points a curve of a page has at most: three for each pixel of a wide one."""
 
 
 def kept(values: NDArray[np.float64], most: int = MOST_POINTS) -> NDArray[np.intp]:

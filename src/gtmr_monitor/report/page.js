@@ -27,7 +27,7 @@ function specification(div) {
     layout.font.size = 12;
     layout.margin = { ...layout.margin, l: 44, r: 8 };
     layout.height = Math.max(300, 0.9 * layout.height);
-    for (const axis of [layout.xaxis, layout.yaxis]) if (axis) axis.nticks = 5;
+    for (const axis of [layout.xaxis, layout.yaxis]) if (axis && !axis.dtick) axis.nticks = 5;
     const eye = layout.scene?.camera?.eye ?? {};
     for (const axis in eye) eye[axis] *= 1.25;
     for (const axis of ["xaxis", "yaxis", "zaxis"]) {
@@ -39,6 +39,7 @@ function specification(div) {
 
 async function draw(div) {
   await Plotly.react(div, ...specification(div), CONFIG);
+  div.style.minHeight = "";
   div.dataset.narrow = narrow(div);
 }
 

@@ -132,7 +132,7 @@ def report_command(
             raise InputError(f"--vehicle = {vehicle!r}: allowed with bags, not with campaigns")
         if not all(is_campaign(path) for path in paths):
             raise InputError("PATH...: campaigns and flights in one report: give one kind")
-        from gtmr_study.campaign.report import write_campaign_report
+        from gtmr_study.campaign.report.page import write_campaign_report
 
         written = write_campaign_report(paths, out)
     elif any(path.suffix == ".npz" for path in paths):
