@@ -16,7 +16,7 @@ endif
 # A node starts in half the time where its modules are kept compiled.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup run test quick lint bench lock clean
+.PHONY: setup run test quick docs lint bench lock clean
 
 setup: $(STAMP)
 
@@ -35,6 +35,11 @@ test: setup
 quick: setup
 	$(PYTEST) --ignore tests/graph -m 'not slow' $(ARGS)
 
+# Any broken link or name in the text ends it. The script to search by is in the site: no network.
+docs: setup
+	$(BIN)/sphinx-build --builder html --fail-on-warning --keep-going --quiet \
+	  --doctree-dir build/doctrees docs site
+
 lint: setup
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
@@ -51,7 +56,7 @@ lock: setup
 	  --custom-compile-command 'make lock' --quiet --output-file requirements.txt
 
 clean:
-	rm -rf $(VENV) build install log dist src/*.egg-info
+	rm -rf $(VENV) build install log dist site src/*.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(STAMP): requirements.txt setup.py pyproject.toml package.xml scripts

@@ -71,6 +71,8 @@ setup(
         "study": ["dask", "distributed", "matplotlib", "pandas", "plotly", "rich", "typer"],
         "live": ["viser"],
         "calibrate": ["cmaes>=0.11", "optuna"],
+        # The site.
+        "docs": ["myst-parser", "numpydoc", "pydata-sphinx-theme", "sphinx"],
         "test": ["hypothesis", "pytest", "pytest-xdist"],
         "dev": [
             "colcon-bash",

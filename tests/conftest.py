@@ -32,6 +32,7 @@ def pytest_addoption(parser):
 TOGETHER = {
     "tests/graph/": "graph",
     "tests/monitor/test_mcap_core.py": "graph",
+    "tests/docs/test_site.py": "site",
     "tests/monitor/test_report.py": "report",
     "tests/study/test_campaign": "campaign",
     "tests/study/test_calibration.py": "calibration",

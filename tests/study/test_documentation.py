@@ -19,7 +19,11 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "examples" / "README.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
 DOTTED = re.compile(r"\bgtmr_[a-z_]+(?:\.[A-Za-z_]+)+")
 PATH = re.compile(r"\bgtmr_[a-z_]+(?:/[A-Za-z_]+)*/[A-Za-z_]+\.(?:py|c|h)\b")
 TOO_LARGE = (
@@ -28,7 +32,7 @@ TOO_LARGE = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_modules_that_are_named_are_there(page):
     text = page.read_text(encoding="utf-8")
 
