@@ -95,8 +95,12 @@ def main() -> None:
                 then, now = 1e-3 * np.percentile(least[:, 20:, 0], (50, 99, 99.9), axis=1).T
                 phases = 1e-3 * np.median(least[1, 20:, 1:], axis=0)
                 differs = np.abs(runs[0][0][:, 5] - runs[0][1][:, 5]).max()
-                figures = "".join(f"{v:9.1f}" for v in then) + "  " + "".join(
-                    f"{v:8.1f}" for v in now) + "".join(f"{v:7.2f}" for v in now / then)
+                figures = (
+                    "".join(f"{v:9.1f}" for v in then)
+                    + "  "
+                    + "".join(f"{v:8.1f}" for v in now)
+                    + "".join(f"{v:7.2f}" for v in now / then)
+                )
                 print(f"{situation.name + ', ' + kind:24}{figures}   "
                       + "".join(f"{v:7.1f}" for v in phases) + f"   {differs:.1e}")  # fmt: skip
 
