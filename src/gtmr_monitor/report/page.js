@@ -2,7 +2,7 @@
 "use strict";
 
 // Plotly offers by default to upload a chart to its makers; a page stays where it is.
-const CONFIG = { displaylogo: false, responsive: true, showSendToCloud: false };
+const CONFIG = { displaylogo: false, showSendToCloud: false };
 const NARROW_PX = 560;
 const dark = matchMedia("(prefers-color-scheme: dark)");
 const charts = [...document.querySelectorAll(".chart")];
@@ -21,6 +21,7 @@ function specification(div) {
   const { data, layout } = JSON.parse(
     text.replace(/var\((--[\w-]+)\)/g, (_, name) => style.getPropertyValue(name).trim()),
   );
+  layout.width = div.clientWidth;
   // What the reader zoomed, turned or hid stays so.
   layout.uirevision = "kept";
   if (narrow(div)) {
@@ -40,7 +41,6 @@ function specification(div) {
 async function draw(div) {
   await Plotly.react(div, ...specification(div), CONFIG);
   div.style.minHeight = "";
-  div.dataset.narrow = narrow(div);
 }
 
 // All plots over the time of a flight show the same part of it.
@@ -72,8 +72,12 @@ function link(div) {
     await new Promise((resolve) => setTimeout(resolve));
   }
   dark.addEventListener("change", () => charts.forEach(draw));
+  let waiting;
   addEventListener("resize", () => {
-    charts.filter((div) => div.dataset.narrow !== String(narrow(div))).forEach(draw);
+    clearTimeout(waiting);
+    waiting = setTimeout(() => {
+      charts.filter((div) => div.layout.width !== div.clientWidth).forEach(draw);
+    }, 100);
   });
   document.documentElement.dataset.drawnMs = Math.round(performance.now() - begin);
 })();

@@ -310,6 +310,7 @@ _CONDITIONS: tuple[Row, ...] = (
         for j, axis in ((6, "x, east"), (7, "y, north"), (8, "z, up"))
     ),
     ("gusts", lambda f: None if f.gust is None else escape(str(f.gust))),
+    ("wind and gust forces", lambda f: "recorded" if f.t_wind.size else None),
     ("seed", lambda f: None if f.seed is None else str(f.seed)),
     ("file", lambda f: f"<code>{escape(f.source.name)}</code>" if f.source.name else None),
 )

@@ -96,7 +96,7 @@ def channels(campaign: Campaign) -> list[Chart]:
     """Draw which channels drive the least clearance, with their 95 % intervals."""
     if why_no_channels(campaign):
         return []
-    figure = plot(340, "share of variance by the channel alone [%]")
+    figure = plot(340, "share of the variance [%]")
     shares = {mode: 100.0 * channel_shares(rows) for mode, rows in campaign.flown.items()}
     order = next(iter(shares.values())).index
     for mode, found in shares.items():

@@ -129,11 +129,11 @@ def _worst_html(worst: dict[str, list[WorstTrial]]) -> str:
         for trial in trials:
             row = trial.row
             least = f"{row['min_clearance_m']:.3f}"
-            wind = ", ".join(
+            wind = ",&nbsp;".join(
                 f"{row[name]:.2f}".replace("-", "−") for name in ("w_bx", "w_by", "w_bz")
             )
             shares = [
-                f"{100.0 * row[name]:.1f} %".replace("-", "−") for name in ("mass", "thrust")
+                f"{100.0 * row[name]:.1f}&nbsp;%".replace("-", "−") for name in ("mass", "thrust")
             ]
             again = (
                 f'<code class="command">{escape(trial.command)}</code>'
