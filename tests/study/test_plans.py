@@ -60,7 +60,7 @@ def test_a_grid_covers_two_channels_evenly():
 
 
 def test_more_trials_than_points_go_round_with_other_gusts():
-    study = Study(plan=TrialPlan(kind="grid", levels=2), trials=6)
+    study = Study(plan=TrialPlan(kind="grid", channels=("mass", "thrust"), levels=2), trials=6)
 
     first, again = study.scenario(1), study.scenario(5)
 

@@ -10,19 +10,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from gtmr_sim.flying.log import FlightLog
 
 LIMIT = {"color": "0.4", "linestyle": "--", "linewidth": 1.0}
 """Lines of what must not be passed."""
 
 
-def draw(log: FlightLog) -> Any:
-    """Draw a flight over time; gives matplotlib's axes, see `FlightLog.plot`."""
+def draw(log: Any) -> Any:
+    """Draw a `FlightLog` over time; gives matplotlib's axes, see its `plot`."""
     import matplotlib.pyplot as plt
 
     scenario, t = log.scenario, log.t

@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -243,11 +244,13 @@ class FlightLog:
                 f"{path}: is no flight that gtmr wrote: there is no {missing[0]}"
             )
         try:
-            scenario = Scenario.model_validate_json(str(data.pop("scenario")[()]))
+            scenario = Scenario.parse(json.loads(str(data.pop("scenario")[()])), "scenario")
             log = cls(**{name: _scalar(array) for name, array in data.items()}, scenario=scenario)
             _require_whole(log)
-        except (ConfigError, TypeError, ValueError) as error:
-            raise FlightFileError(f"{path}: {_reason(error)}") from None
+        except json.JSONDecodeError:
+            raise FlightFileError(f"{path}: scenario is none") from None
+        except (ConfigError, ValueError) as error:
+            raise FlightFileError(f"{path}: {error}") from None
         return log
 
 
@@ -266,10 +269,6 @@ def _columns(name: str, of: tuple[str, ...], rows: Array) -> Mapping[str, Array]
 def _scalar(array: NDArray[Any]) -> Any:
     """Take a number or text out of the array of no axes that a file keeps it in."""
     return array[()].item() if array.ndim == 0 else array
-
-
-def _reason(error: Exception) -> str:
-    return " ".join(str(error).split())
 
 
 def _require_whole(log: FlightLog) -> None:

@@ -10,11 +10,10 @@
 
 from typing import Annotated, Any
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 from rich.text import Text
 
 from gtmr_nmpc import ControllerConfig
+from gtmr_study.cli.tables import explains, new_table
 from gtmr_study.cli.terminal import JsonOption, console, option
 from gtmr_study.result_files import require_folder_of, write_json
 from gtmr_study.rivals.bench import (
@@ -27,12 +26,27 @@ from gtmr_study.rivals.bench import (
 )
 
 COLUMNS = ("median", "p99", "p99.9", "max")
+WORDS = {
+    "situation: controller": "What was flown through, and which mode or solver planned it.",
+    "median": "Half of the steps take less [ms].",
+    "p99": "99 of 100 steps take less [ms].",
+    "p99.9": "999 of 1000 steps take less [ms].",
+    "max": "The longest step [ms].",
+    "prepare": "Median of what is done before the state is known [ms].",
+    "feedback": "Median of what is done from the state to the command [ms].",
+    "ratio": "Median relative to that of the suite's nominal step.",
+    "cost gap": "Cost of the solver's plan relative to that of the best one, minus 1.",
+}
+"""What the columns are."""
 
 
+@explains(WORDS)
 def bench_command(
-    steps: Annotated[int, option("N", "Steps of the controller a situation.", min=100)] = 4000,
+    steps: Annotated[
+        int, option("N", "Steps of the controller a situation, at least 100.", "4000", min=100)
+    ] = 4000,
     rival_steps: Annotated[
-        int, option("N", "Steps of general solvers a situation; 0: none.", min=0)
+        int, option("N", "Steps of general solvers a situation; 0: none.", "40", min=0)
     ] = 40,
     json: JsonOption = None,
 ) -> None:
@@ -40,7 +54,7 @@ def bench_command(
     require_folder_of("--json", json)
     result: dict[str, Any] = {"machine": machine(), "steps": steps, "controller": {}, "rivals": {}}
     situations = record_situations(steps)
-    table = _table(*COLUMNS, "prepare", "feedback", "ratio")
+    table = new_table("situation: controller", *COLUMNS, "prepare", "feedback", "ratio")
     for situation in situations:
         figures = {name: time_controller(situation, m, t) for name, m, t in CONTROLLERS}
         result["controller"][situation.name] = figures
@@ -57,7 +71,7 @@ def bench_command(
     console.print("Step of the controller, called from Python [ms]", markup=False)
     console.print(table)
     if rival_steps:
-        rivals = _table("median", "max", "ratio", "cost gap")
+        rivals = new_table("situation: controller", "median", "max", "ratio", "cost gap")
         contenders = make_rivals(ControllerConfig())
         for situation in situations:
             rival_figures = time_rivals(situation, rival_steps, contenders)
@@ -73,10 +87,3 @@ def bench_command(
         console.print("Nominal step of general solvers [ms]", markup=False)
         console.print(rivals)
     write_json(json, result)
-
-
-def _table(*columns: str) -> Table:
-    table = Table("", box=SIMPLE_HEAD)
-    for column in columns:
-        table.add_column(column, justify="right")
-    return table
