@@ -230,7 +230,7 @@ class FlightLog:
         Raises FlightFileError if it cannot be read, is broken, or holds no whole flight.
         """
         try:
-            with np.load(path) as file:
+            with Path(path).open("rb") as stream, np.load(stream) as file:
                 data = {f.name: file[f.name] for f in fields(cls) if f.name in file}
         except OSError as error:
             reason = error.strerror or "is no npz file"

@@ -70,9 +70,10 @@ CONTROLLER_OR_OWN = option(
     "that of the world",
 )
 
-console = Console()
+# A path or a value may hold what stands for a picture, as :A: does.
+console = Console(emoji=False)
 """For results and progress."""
-_errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
+_errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
 
 def complain(reason: object) -> None:

@@ -17,6 +17,7 @@ from typing import Annotated, Any
 import typer
 from rich.progress import MofNCompleteColumn, TaskID
 
+from gtmr_model import CHANNELS
 from gtmr_sim import GUST_KINDS
 from gtmr_study.campaign.plans import PLAN_KINDS
 from gtmr_study.campaign.study import Study
@@ -153,6 +154,10 @@ def campaign_command(
         raise InputError(f"--modes = {modes}: {own.name} has no modes; leave it out")
     study = Study() if scenario is None else Study.load("scenario", scenario)
     varied = None if channels is None else channels.split(",")
+    if plan == "grid" and varied is None and len(study.plan.channels) != 2:
+        raise InputError(
+            f"--plan = grid: needs --channels A,B as well, two of {', '.join(CHANNELS)}"
+        )
     study = with_options(
         study,
         trials=trials,
