@@ -8,19 +8,23 @@
 
 """What the commands share: options, progress, and what is wrong in one clear line."""
 
+from __future__ import annotations
+
 import errno
 import io
 import os
 import sys
 from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 
 from gtmr_study.result_files import InputError
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, ProgressColumn
 
 BAD_INPUT = 2
 """Exit code of bad input."""
@@ -89,6 +93,9 @@ def progress(amount: ProgressColumn | None = None) -> Progress:
 
     It tells the amount done in percent unless another column is given.
     """
+    # Only now, as the help does without.
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
