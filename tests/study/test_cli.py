@@ -182,6 +182,32 @@ def test_fly_does_not_write_over_a_report(tmp_path, refused, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
 
 
+OWN = """
+from gtmr_nmpc import Controller, ControllerConfig
+
+
+class Other(Controller):
+    def __init__(self, config):
+        super().__init__(ControllerConfig.parse({fields}, "mine"))
+"""
+OTHERS = {
+    "tower": ('{"tower": {"radius_m": 2.0}}', "tower.radius_m = 1.0: the controller is made for"),
+    "vehicle": ('{"vehicle": "octo"}', "the controller is made for"),
+    "T_s": ('{"sampling_time_s": 0.05}', "sampling_time_s = 0.025: the controller is made for"),
+}
+
+
+@pytest.mark.usefixtures("unoptimised")
+@pytest.mark.parametrize("what", OTHERS)
+def test_a_controller_made_for_something_else_does_not_fly(what, tmp_path, refused):
+    fields, told = OTHERS[what]
+    (tmp_path / "mine.py").write_text(OWN.format(fields=fields))
+    out = tmp_path / "flight.npz"
+    controller = f"{tmp_path / 'mine.py'}:Other"
+    assert told in refused("fly", "--duration", 0.1, "--controller", controller, "--out", out)
+    assert not out.exists()
+
+
 def test_flights_are_reported_side_by_side(tmp_path, gtmr):
     logs = {"nominal": Controller(mode="nominal"), "robust": Controller()}
     for name, controller in logs.items():
@@ -265,6 +291,20 @@ def test_tables_fit_the_terminal(columns, monkeypatch, capsys):
     assert not any("…" in line for line in lines)
     if columns >= 80:
         assert len([line for line in lines if line.strip()]) == len(fly_module.FLIGHT_ROWS) + 2
+
+
+@pytest.mark.parametrize("columns", [80, 120])
+def test_no_name_in_a_table_is_cut(columns, monkeypatch, capsys):
+    monkeypatch.setattr(tables, "console", Console(width=columns))
+    name, sentence = "bag-odometry-undecodable", "what is read was written, or it is said " * 3
+    table = tables.new_table(*TITLES)
+    table.columns[0].no_wrap = True
+    table.add_row(name, sentence, "100 of 100", "96.3 to 100.0 %", "0.20 m", "12.25 s")
+    tables.console.print(table)
+    printed = capsys.readouterr().out
+    assert name in printed
+    assert "…" not in printed
+    assert "".join(sentence.split()[-1:]) in printed
 
 
 def test_progress_starts_with_the_total(monkeypatch):

@@ -72,9 +72,11 @@ class ExplainedCommand(TyperCommand):
 def new_table(first: str, *columns: str) -> Table:
     """Start a table: texts on the left, then columns of figures."""
     table = Table(box=SIMPLE_HEAD)
-    table.add_column(first)
+    # What has no room is broken into lines, titles between words, and never cut.
+    table.add_column(first, overflow="fold")
     for column in columns:
-        table.add_column(Text(column), justify="right")
+        longest = max(map(len, column.split()), default=1)
+        table.add_column(Text(column), justify="right", overflow="fold", min_width=longest)
     return table
 
 

@@ -83,7 +83,8 @@ def faults_command(
         rows = try_faults(catalogue, chosen, quick, show)
     write_json(json, rows)
     table = new_table(*TITLES)
-    # Sentences, not figures.
+    # The name is what one types; the promise is a sentence, no figure.
+    table.columns[0].no_wrap = True
     table.columns[1].justify = "left"
     for row in rows:
         table.add_row(*map(Text, cells(row)))
