@@ -236,7 +236,8 @@ def test_there_is_no_recipe_where_a_source_changed_after_it_was_imported(
     else:
         # As a file that was moved here: its content is old, its place is new.
         monkeypatch.setattr(gtmr_model, "LOADED_NS", time.time_ns() + recipe.SETTLED_NS // 2)
-        os.utime(path, ns=(0, 0))
+        for each in (each for folder in copies.values() for each in folder.rglob("*")):
+            os.utime(each, ns=(0, 0))
     assert fresh() is None
 
 
