@@ -21,6 +21,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 PAGE = Path(__file__).with_suffix(".md")
 KEPT = PAGE.parent / "field" / "results.json"
 WORLDS = ("paper", "field", "hard")
@@ -51,6 +53,21 @@ def campaign(folder: Path) -> list[dict[str, Any]]:
         }
         for mode, said in summary.items()
     ]
+
+
+def attack(folder: Path) -> dict[str, Any]:
+    """Read what an attack says."""
+    told = json.loads(folder.with_suffix(".json").read_text(encoding="utf-8"))
+    with (folder / "flights.jsonl").open(encoding="utf-8") as flights:
+        seed = json.loads(flights.readline())["seed"]
+    worst = yaml.safe_load((folder / "worst-01.yaml").read_text(encoding="utf-8"))
+    del told["worst"]
+    return {
+        "name": folder.name,
+        "d_ref_m": worst["controller"]["helix"]["offset_m"],
+        "seed": seed,
+        **told,
+    }
 
 
 def table(titles: tuple[str, ...], rows: list[list[str]]) -> str:
@@ -90,9 +107,7 @@ def main() -> None:
         if (folder / "summary.json").exists():
             kept |= {row["name"]: row for row in campaign(folder)}
         else:
-            told = json.loads(folder.with_suffix(".json").read_text(encoding="utf-8"))
-            del told["worst"]
-            kept[folder.name] = {"name": folder.name, **told}
+            kept[folder.name] = attack(folder)
     KEPT.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
     PAGE.write_text(page(PAGE.read_text(encoding="utf-8"), kept), encoding="utf-8")
 
@@ -168,15 +183,14 @@ def break_row(told: dict[str, Any]) -> list[str]:
 
 def attack_row(told: dict[str, Any]) -> list[str]:
     """Write a row of the third table."""
-    d_ref = told["name"].rpartition("_")[2]
-    options = f"--mode {told['mode']} --world {told['world']} --d-ref 0.{d_ref}"
+    options = f"--mode {told['mode']} --world {told['world']} --d-ref {told['d_ref_m']:.2f}"
     return [
         f"{told['world']}, {told['mode']}",
-        f"0.{d_ref} m",
-        str(told["flights"]),
+        f"{told['d_ref_m']:.2f} m",
+        f"{told['flights']}, seed {told['seed']}",
         str(told["violations"]),
         f"{told['min_clearance_m']:.4f} m",
-        f"`gtmr attack {options} --flights {told['flights']} --seed 1 --out DIR`",
+        f"`gtmr attack {options} --flights {told['flights']} --seed {told['seed']} --out DIR`",
     ]
 
 
