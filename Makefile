@@ -35,10 +35,11 @@ test: setup
 quick: setup
 	$(PYTEST) --ignore tests/graph -m 'not slow' $(ARGS)
 
-# Any broken link or name in the text ends it. The script to search by is in the site: no network.
+# Read anew each time, since pages come from the code too. A link to nothing ends it.
 docs: setup
+	rm -rf site
 	$(BIN)/sphinx-build --builder html --fail-on-warning --keep-going --quiet \
-	  --doctree-dir build/doctrees docs site
+	  --fresh-env --doctree-dir build/doctrees docs site
 
 lint: setup
 	$(BIN)/ruff check

@@ -28,6 +28,8 @@ from gtmr_nmpc import MODES, Controller
 from gtmr_sim import FlightLog, Scenario, fly
 
 PICTURE = Path(__file__).with_name("flight.webp")
+STILL = PICTURE.parent / "sphinx" / "static" / "flight-still.webp"
+"""What the site shows to those who wish that nothing moves."""
 FLOWN_S, SHOWN_S = 16.0, 8.0
 """Of flight, and of the loop: it plays twice as fast as it was flown."""
 FRAMES_PER_S = 12
@@ -118,8 +120,7 @@ def main() -> None:
         PICTURE, save_all=True, append_images=frames[1:], duration=round(1000 / FRAMES_PER_S),
         loop=0, quality=70, method=4,
     )  # fmt: skip
-    # Where nothing is to move, and where an animation cannot be shown.
-    frames[-1].save(PICTURE.with_name("flight-still.webp"), quality=80)
+    frames[-1].save(STILL, quality=80)
 
 
 if __name__ == "__main__":
