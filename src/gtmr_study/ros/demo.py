@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import rclpy
 from rclpy.context import Context
@@ -34,7 +34,7 @@ from gtmr_sim import World
 from gtmr_study.campaign.study import controller_for
 
 if TYPE_CHECKING:
-    from gtmr_study.ros.live import LiveView
+    from rclpy.node import Node
 
 WIND_BIAS_N = (0.6, 0.4, 0.0)
 """w_b of Fig. 1, world frame [N]."""
@@ -47,6 +47,13 @@ OnProgress = Callable[[float, float], None]
 """Told the simulated time [s] and the clearance [m] while flying."""
 
 
+class Onlooker(Protocol):
+    """Who takes part in a flight, beside the nodes that fly it."""
+
+    def watch(self, node: Node, mode: str) -> Callable[[], object]:
+        """Use a node that hears the flight, begun in a mode; what is returned is called often."""
+
+
 class DemoError(RuntimeError):
     """A node failed, or the flight does not go on; the message says where its log is."""
 
@@ -56,7 +63,7 @@ def fly_in_ros(
     duration_s: float,
     folder: Path,
     on_progress: OnProgress,
-    live: LiveView | None = None,
+    onlooker: Onlooker | None = None,
     world: str = "paper",
 ) -> Path:
     """Fly the helix once, in real time where the machine keeps up, with one process a node.
@@ -71,7 +78,7 @@ def fly_in_ros(
     domain_id = 1 + os.getpid() % 100
     bag = folder / "bag"
     zeta = ", ".join(str(float(value)) for value in (*(0.0,) * 6, *WIND_BIAS_N))
-    with _nodes(domain_id, folder) as start:
+    with nodes(domain_id, folder) as start:
         start("gtmr_monitor.node", bag=str(bag))
         # A world that has one is flown with the controller that knows of it.
         controller = controller_for(World.load("world", world))
@@ -85,23 +92,27 @@ def fly_in_ros(
             recorders="1",
             lockstep="true",
         )
-        _watch(domain_id, mode, sim, on_progress, live)
+        watch(domain_id, mode, sim, on_progress, onlooker)
     return bag
 
 
 @dataclass
-class _NodeProcess:
+class NodeProcess:
+    """A node of the suite as a process of its own, and its log."""
+
     name: str
     process: subprocess.Popen[bytes]
     log: Path
 
     def require_well(self) -> None:
+        """Raise DemoError if it ended with an error."""
         code = self.process.poll()
         if code not in (None, 0):
             last = self.log.read_text(errors="replace").strip().rpartition("\n")[2]
             raise DemoError(f"{self.name} ended with exit code {code}: {last} (see {self.log})")
 
     def stop(self) -> None:
+        """End it as Ctrl-C does, or outright if it takes too long."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
             try:
@@ -112,12 +123,12 @@ class _NodeProcess:
 
 
 @contextmanager
-def _nodes(domain_id: int, folder: Path) -> Iterator[Callable[..., list[_NodeProcess]]]:
+def nodes(domain_id: int, folder: Path) -> Iterator[Callable[..., list[NodeProcess]]]:
     """Start nodes one after the other, and end them all, the recorder last."""
-    started: list[_NodeProcess] = []
+    started: list[NodeProcess] = []
     environment = ros_environment(domain_id)
 
-    def start(module: str, **parameters: str) -> list[_NodeProcess]:
+    def start(module: str, **parameters: str) -> list[NodeProcess]:
         name = module.partition(".")[0]
         log = folder / f"{name}.log"
         assigned = [f"{key}:={value}" for key, value in parameters.items()]
@@ -132,7 +143,7 @@ def _nodes(domain_id: int, folder: Path) -> Iterator[Callable[..., list[_NodePro
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
             )
-        started.append(_NodeProcess(name, process, log))
+        started.append(NodeProcess(name, process, log))
         return started
 
     try:
@@ -144,12 +155,12 @@ def _nodes(domain_id: int, folder: Path) -> Iterator[Callable[..., list[_NodePro
         node.require_well()
 
 
-def _watch(
+def watch(
     domain_id: int,
     mode: str,
-    nodes: list[_NodeProcess],
+    nodes: list[NodeProcess],
     on_progress: OnProgress,
-    live: LiveView | None,
+    onlooker: Onlooker | None = None,
 ) -> None:
     """Watch a flight until the simulator, the node started last, ends."""
     # The profile is read when the first participant of a process is made.
@@ -173,7 +184,7 @@ def _watch(
     try:
         topics.CLOCK.subscription(node, on_clock)
         topics.CLEARANCE.subscription(node, on_clearance)
-        refresh = None if live is None else live.watch(node, mode)
+        refresh = None if onlooker is None else onlooker.watch(node, mode)
         while nodes[-1].process.poll() is None:
             executor.spin_once(timeout_sec=0.1)
             if refresh is not None:
