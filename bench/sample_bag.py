@@ -34,10 +34,12 @@ from gtmr_monitor.bag.reader import read_messages
 from gtmr_msgs_py import topics
 from gtmr_msgs_py.wire import stamps
 from gtmr_nmpc import MODES, Controller, ControllerConfig
-from gtmr_study.ros.demo import WIND_BIAS_N, nodes, watch
+from gtmr_study.ros.demo import nodes, watch
 
 SAMPLE = Path(__file__).parents[1] / "bags" / "sample"
 """Where the bag is kept."""
+ZETA = (*(0.0,) * 6, 0.6, 0.4, 0.0)
+"""The wind of Fig. 1, as in the demo."""
 SECONDS_A_MODE = 7.0
 """How long each mode flies, simulated time [s]."""
 MOST_BYTES = 5_300_000
@@ -47,7 +49,7 @@ MOST_BYTES = 5_300_000
 class Switches:
     """Switches the mode in flight, each at its time."""
 
-    def watch(self, node: Node, mode: str) -> Callable[[], None]:
+    def watch(self, node: Node, mode: str) -> Callable[[], bool]:
         """Follow the flight's time with a node; a switch is one call of a parameter service."""
         client = AsyncParameterClient(node, "nmpc")
         left = [(k * SECONDS_A_MODE, each) for k, each in enumerate(MODES) if each != mode]
@@ -57,7 +59,7 @@ class Switches:
                 client.set_parameters([Parameter("mode", value=left.pop(0)[1])])
 
         topics.CLOCK.subscription(node, on_clock)
-        return lambda: None
+        return lambda: False
 
 
 def record(folder: Path) -> Path:
@@ -65,13 +67,12 @@ def record(folder: Path) -> Path:
     bag, domain_id = folder / SAMPLE.name, 1 + os.getpid() % 100
     # Compiled before anybody waits.
     Controller()
-    zeta = [0.0] * 6 + list(WIND_BIAS_N)
     with nodes(domain_id, folder) as start:
         start("gtmr_monitor.node", bag=str(bag))
         start("gtmr_nmpc.node", mode=MODES[0], recorders="1")
         sim = start(
             "gtmr_sim.node",
-            zeta=str(zeta),
+            zeta=str(list(ZETA)),
             seed="7",
             duration_s=str(SECONDS_A_MODE * len(MODES)),
             recorders="1",

@@ -11,7 +11,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -117,9 +116,9 @@ def demo_command(
         "Next:    gtmr fly --help, README.md"
     )
     write_json(json, {"modes": results})
-    if view is not None and console.is_terminal:
-        with contextlib.suppress(EOFError, KeyboardInterrupt):
-            console.input(f"Live view: {view.page.url} until you press Enter ")
+    if view is not None:
+        console.print(f"Live view: {view.page.url} shows the flights until Ctrl-C")
+        view.stay()
 
 
 def _live_view(duration: float, modes: list[str]) -> LiveView:

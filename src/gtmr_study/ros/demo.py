@@ -50,8 +50,11 @@ OnProgress = Callable[[float, float], None]
 class Onlooker(Protocol):
     """Who takes part in a flight, beside the nodes that fly it."""
 
-    def watch(self, node: Node, mode: str) -> Callable[[], object]:
-        """Use a node that hears the flight, begun in a mode; what is returned is called often."""
+    def watch(self, node: Node, mode: str) -> Callable[[], bool]:
+        """Use a node that hears the flight, begun in a mode.
+
+        What is returned is called often, and says whether time is meant to stand still.
+        """
 
 
 class DemoError(RuntimeError):
@@ -186,9 +189,9 @@ def watch(
         topics.CLEARANCE.subscription(node, on_clearance)
         refresh = None if onlooker is None else onlooker.watch(node, mode)
         while nodes[-1].process.poll() is None:
-            executor.spin_once(timeout_sec=0.1)
-            if refresh is not None:
-                refresh()
+            executor.spin_once(timeout_sec=0.05)
+            if refresh is not None and refresh():
+                changed_at = time.monotonic()
             for each in nodes:
                 each.require_well()
             if time.monotonic() - changed_at > STALL_TIMEOUT_S:
