@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from functools import partial
 from threading import Lock
@@ -25,6 +26,9 @@ from gtmr_msgs_py import topics
 
 SHOWN = {"sim": ("zeta", "gust.std_n", "real_time_factor"), "nmpc": ("mode",)}
 """Parameters that the page shows, by node."""
+ANSWER_S = 2.0
+"""How long a node may take to answer before it is asked again: while nodes find each other an
+answer may be lost [s]."""
 OnValue = Callable[[str, Any], None]
 """Told the name of a parameter and the value that its node has."""
 OnAnswer = Callable[[str], None]
@@ -45,8 +49,8 @@ class Controls:
         self._on_value, self._on_answer = on_value, on_answer
         self._lock = Lock()
         self._wanted: dict[tuple[str, str], Any] = {}
-        self._asked: set[tuple[str, str]] = set()
-        self._unread = set(SHOWN)
+        self._asked: dict[tuple[str, str], tuple[float, Any]] = {}
+        self._unread = dict.fromkeys(SHOWN, 0.0)
         self.paused = False
         """Whether the simulator was asked to stop its time."""
 
@@ -63,17 +67,22 @@ class Controls:
 
     def poll(self) -> None:
         """Pass on what was asked for; to be called by the thread that spins the node."""
-        for name in list(self._unread):
-            if self._clients[name].services_are_ready():
-                self._unread.discard(name)
-                self._read(name)
+        now = time.monotonic()
+        for node, due_at in list(self._unread.items()):
+            if now >= due_at and self._clients[node].services_are_ready():
+                self._unread[node] = now + ANSWER_S
+                names = list(SHOWN[node])
+                future = self._clients[node].get_parameters(names)
+                future.add_done_callback(partial(self._was_read, node, names))
         with self._lock:
+            for key in [key for key, (until, _) in self._asked.items() if now >= until]:
+                self._wanted.setdefault(key, self._asked.pop(key)[1])
             due = {key: v for key, v in self._wanted.items() if key not in self._asked}
             due = {key: v for key, v in due.items() if self._is_there(*key)}
             for key in due:
                 del self._wanted[key]
         for key, value in due.items():
-            self._asked.add(key)
+            self._asked[key] = now + ANSWER_S, value
             self._ask(*key, value)
 
     def _is_there(self, node: str, name: str) -> bool:
@@ -84,26 +93,22 @@ class Controls:
     def _ask(self, node: str, name: str, value: Any) -> None:
         if not name:
             future = self._pause_service.call_async(SetBool.Request(data=value))
-            future.add_done_callback(lambda _: self._asked.discard((node, name)))
+            future.add_done_callback(lambda _: self._asked.pop((node, name), None))
             return
         future = self._clients[node].set_parameters([Parameter(name, value=value)])
         future.add_done_callback(partial(self._answered, node, name, value))
 
     def _answered(self, node: str, name: str, value: Any, future: Any) -> None:
-        self._asked.discard((node, name))
+        self._asked.pop((node, name), None)
         result: SetParametersResult = future.result().results[0]
         self._on_answer("" if result.successful else f"{node} refused {name}: {result.reason}")
         if result.successful:
             self._on_value(name, value)
         else:
             # The page shows what the node has, and not what it was asked for.
-            self._read(node)
+            self._unread[node] = 0.0
 
-    def _read(self, node: str) -> None:
-        names = list(SHOWN[node])
-        future = self._clients[node].get_parameters(names)
-        future.add_done_callback(partial(self._was_read, names))
-
-    def _was_read(self, names: list[str], future: Any) -> None:
+    def _was_read(self, node: str, names: list[str], future: Any) -> None:
+        self._unread.pop(node, None)
         for name, value in zip(names, future.result().values, strict=True):
             self._on_value(name, parameter_value_to_python(value))
