@@ -38,6 +38,7 @@ setup(
         "": ["py.typed"],
         "gtmr_model": ["config/**/*.*"],
         "gtmr_guard": ["c/*.[ch]"],
+        "gtmr_monitor.report": ["page.css", "page.js"],
         "gtmr_msgs_py.start": ["*.xml"],
         "gtmr_nmpc.compiled": ["c/*.[ch]"],
         "gtmr_study.export": ["replay.c", "CMakeLists.txt"],

@@ -68,14 +68,16 @@ def record(folder: Path) -> Path:
     # Compiled before anybody waits.
     Controller()
     with nodes(domain_id, folder) as start:
-        start("gtmr_monitor.node", bag=str(bag))
-        start("gtmr_nmpc.node", mode=MODES[0], recorders="1")
+        start("gtmr_monitor.node", {"bag": str(bag)})
+        start("gtmr_nmpc.node", {"mode": MODES[0], "recorders": "1"})
         sim = start(
             "gtmr_sim.node",
-            zeta=str(list(ZETA)),
-            seed="7",
-            duration_s=str(SECONDS_A_MODE * len(MODES)),
-            recorders="1",
+            {
+                "zeta": str(list(ZETA)),
+                "seed": "7",
+                "duration_s": str(SECONDS_A_MODE * len(MODES)),
+                "recorders": "1",
+            },
         )
         watch(domain_id, MODES[0], sim, lambda *_: None, Switches())
     return bag

@@ -22,7 +22,7 @@ from pathlib import Path
 
 from gtmr_study.campaign.trials_file import read_study
 from gtmr_study.paper.claims_table import claims, claims_markdown, markdown_table
-from gtmr_study.paper.report import size_of_the_tightening
+from gtmr_study.paper.report.tables import size_of_the_tightening
 from gtmr_study.paper.reproduce import RESULTS_FILE
 
 DOCS = Path(__file__).parent

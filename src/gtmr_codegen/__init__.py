@@ -7,3 +7,8 @@
 # language governing permissions and limitations under the License.
 
 """C source out of CasADi functions, compiled, cached and loaded; no physics in here."""
+
+import time
+
+LOADED_NS = time.time_ns()
+"""When this package was imported [ns since 1970]."""

@@ -20,11 +20,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, lru_cache
 from pathlib import Path
+
+from gtmr_codegen.recipe import Value, recipe, still_holds
 
 FLAGS = (
     "-std=c99",
@@ -54,16 +56,51 @@ def load_library(
     there is no compiler, or it fails, or what it made can be neither written nor loaded.
     """
     compiler = _compiler()
-    parts = [*compiler, *FLAGS, _version(compiler), _cpu()]
-    for name, text in sorted(sources.items()):
-        parts += [name, text, *flags.get(name, ())]
-    key = _digest("\0".join(parts).encode())
+    key = _key(compiler, _text(sources, flags))
     home = _cache_folder()
     with suppress(OSError):
         if (entry := _find(home, key)) is not None:
             return ctypes.CDLL(str(entry))
     with _turn(home):
         return _found_or_made(title, home, key, compiler, sources, flags)
+
+
+Sources = Mapping[str, str]
+Flags = Mapping[str, tuple[str, ...]]
+
+
+def load_generated(
+    title: str, package: str, values: Sequence[Value], make: Callable[[], tuple[Sources, Flags]]
+) -> ctypes.CDLL:
+    """Load the library of sources that a generator in a package makes of values alone.
+
+    As `load_library`, but the sources, with their flags, are only made where no library is found
+    by their `recipe`. One that is found by the sources then gets the recipe as a second name.
+    """
+    named = recipe(package, *values)
+    if named is None:
+        return load_library(title, *make())
+    home, key = _cache_folder(), _key(_compiler(), [named])
+    with suppress(OSError):
+        if (entry := _find(home, key)) is not None:
+            return ctypes.CDLL(str(entry))
+    sources, flags = make()
+    library = load_library(title, sources, flags)
+    made = _find(home, _key(_compiler(), _text(sources, flags)))
+    if home is not None and made is not None and still_holds(package):
+        with suppress(OSError):
+            os.link(made, home / f"{key}-{made.stem.rpartition('-')[2]}.so")
+    return library
+
+
+def _key(compiler: tuple[str, ...], of: Sequence[str]) -> str:
+    parts = [*compiler, *FLAGS, _version(compiler), _cpu(), *of]
+    return _digest("\0".join(parts).encode())
+
+
+def _text(sources: Sources, flags: Flags) -> list[str]:
+    named = sorted(sources.items())
+    return [part for name, text in named for part in (name, text, *flags.get(name, ()))]
 
 
 def _found_or_made(

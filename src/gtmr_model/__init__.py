@@ -8,6 +8,8 @@
 
 """Physics and geometry that controller, plant and reports agree on; no ROS in here."""
 
+import time
+
 from gtmr_model.airframe import airframe_clearance
 from gtmr_model.dynamics import dynamics
 from gtmr_model.helix import Helix
@@ -35,3 +37,6 @@ __all__ = [
     "airframe_clearance",
     "dynamics",
 ]
+
+LOADED_NS = time.time_ns()
+"""When this package was imported [ns since 1970]."""

@@ -11,14 +11,14 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 from typing_extensions import Self
 
-from gtmr_model.yaml_model import YamlModel
+from gtmr_model.yaml_model import YamlModel, named
 
 GRAVITY_M_S2 = 9.81
 """Standard gravity [m/s^2], along -z of the world frame."""
@@ -136,9 +136,5 @@ class Vehicle(YamlModel):
         return np.sqrt(np.where(squared < 0.0, np.nan, squared))
 
 
-def _by_name(value: Any) -> Any:
-    return Vehicle.load("vehicle", value) if isinstance(value, str) else value
-
-
-NamedVehicle = Annotated[Vehicle, BeforeValidator(_by_name)]
+NamedVehicle = Annotated[Vehicle, named("vehicle", Vehicle.load)]
 """A vehicle in a configuration: its fields, a preset's name, or the path of a YAML file."""

@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, ClassVar
@@ -18,9 +18,11 @@ from typing import Any, ClassVar
 import casadi as ca
 from pydantic import (
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     ModelWrapValidatorHandler,
     ValidationError,
+    ValidationInfo,
     model_validator,
 )
 from typing_extensions import Self
@@ -71,6 +73,32 @@ def presets_of(kind: str) -> dict[str, Path]:
     return {file.stem: file for file in sorted(there) if file.suffix == ".yaml"}
 
 
+FOLDER = "folder"
+"""Key of the validation context under which the folder of what is read stands."""
+
+
+def named(kind: str, load: Callable[[str, str], YamlModel]) -> BeforeValidator:
+    """Let a field also be the name of a preset of a kind, or the path of a YAML file.
+
+    A relative path in a YAML file starts at the folder of that file. ``load`` is as
+    `YamlModel.load`.
+    """
+
+    def by_name(value: Any, info: ValidationInfo) -> Any:
+        if not isinstance(value, str):
+            return value
+        folder = (info.context or {}).get(FOLDER)
+        return load(kind, value if folder is None else from_folder(folder, value))
+
+    return BeforeValidator(by_name)
+
+
+def from_folder(folder: Path, name_or_path: str) -> str:
+    """Take the path of a YAML file from a folder on; a preset's name stays as it is."""
+    is_path = name_or_path.endswith((".yaml", ".yml"))
+    return str(folder / name_or_path) if is_path else name_or_path
+
+
 class YamlModel(BaseModel):
     """An immutable configuration: unknown fields and values out of range are refused."""
 
@@ -79,13 +107,14 @@ class YamlModel(BaseModel):
     )
 
     @classmethod
-    def parse(cls, data: Any, source: str) -> Self:
+    def parse(cls, data: Any, source: str, folder: Path | None = None) -> Self:
         """Validate plain data, for example the content of a YAML file.
 
+        Paths of further YAML files in it are relative to the folder, or to where the process runs.
         Raises ConfigError if a field is missing, unknown or out of range.
         """
         try:
-            return cls.model_validate(data)
+            return cls.model_validate(data, context={FOLDER: folder})
         except ValidationError as error:
             raise ConfigError(f"{source}: {describe(error)}") from None
 
@@ -109,12 +138,12 @@ class YamlModel(BaseModel):
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> Self:
-        """Read and validate a YAML file.
+        """Read and validate a YAML file; paths of further files in it are relative to its folder.
 
         Raises ConfigError if it cannot be read as `read_yaml` does, or a field is missing,
         unknown or out of range.
         """
-        return cls.parse(read_yaml(path), str(path))
+        return cls.parse(read_yaml(path), str(path), Path(path).parent)
 
     @classmethod
     def preset(cls, kind: str, name: str) -> Self:

@@ -8,6 +8,9 @@
 
 """A recorded flight: what reports are made from."""
 
+from __future__ import annotations
+
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gtmr_model import ReferencePath, Tower, Vehicle, airframe_clearance
 from gtmr_monitor.coverage import Coverage
@@ -45,10 +48,15 @@ class MarginHistory:
     """By how much the plan violates the tightened clearance [m], shape (M, N + 1)."""
     further: Mapping[str, Array] = field(default_factory=dict)
     """Further margins by name, such as ``noise`` [m], shape (M, N + 1) each."""
+    parametric: Array | None = None
+    """alpha_p as a whole [m], shape (M, N + 1), where its terms are not known; these are then
+    zero. None where they are known."""
 
     @property
     def alpha_p(self) -> Array:
         """Parametric margin, eq. (12), eps_s included [m], shape (M, N + 1)."""
+        if self.parametric is not None:
+            return self.parametric
         total: Array = self.by_channel.sum(axis=2) + self.eps_s
         return total
 
@@ -71,7 +79,7 @@ class Predictions:
 
 @dataclass(frozen=True)
 class Flight:
-    """One flight as it was recorded; every time is in seconds since its first odometry.
+    """One flight, read from a bag or flown in this process; times count from its first odometry.
 
     Position and attitude are the truth, where that was recorded; else the measured odometry.
     """
@@ -79,7 +87,7 @@ class Flight:
     name: str
     """What to call it."""
     source: Path
-    """The bag."""
+    """The bag, or the file that the rows of a flight came from."""
     t: Array
     """Times of position and attitude [s], shape (n,)."""
     p: Array
@@ -130,9 +138,116 @@ class Flight:
     """What a user should know, one sentence each."""
     predictions: Predictions | None = None
     """What the controller foresaw; None if that was not looked into."""
+    t_command: Array = field(default_factory=lambda: np.zeros(0))
+    """From when on [s] each command acts, shape (c,); empty if not recorded."""
+    command_hz_s: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Rotor accelerations commanded [Hz/s], shape (c, N_p)."""
+    t_wind: Array = field(default_factory=lambda: np.zeros(0))
+    """Times of wind and gust [s], shape (w,); empty if not recorded."""
+    wind_n: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """Force of the wind without gusts, world ENU [N], shape (w, 3): w_b where the world has no
+    wind field, else the field's force on the vehicle at hover."""
+    gust_n: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """Gust force w_g, world ENU [N], shape (w, 3)."""
     replayed: bool = False
     """Whether margins, predictions and solve times are of a controller that was fed the recorded
     states again and did not fly."""
+
+    @classmethod
+    def from_rows(
+        cls,
+        rows: Mapping[str, ArrayLike],
+        *,
+        name: str,
+        mode: str,
+        tower: Tower,
+        helix: ReferencePath,
+        vehicle: Vehicle | None = None,
+        gust: str | None = None,
+        seed: int | None = None,
+        sampling_time_s: float | None = None,
+        source: Path = Path(),
+    ) -> Flight:
+        """Make a flight of the rows that ``gtmr fly`` keeps, one a sampling time.
+
+        Parameters
+        ----------
+        rows : mapping
+            By name, as in the npz of ``gtmr fly``: an opened npz, or ``vars(log)`` of a
+            `gtmr_sim.FlightLog`. ``t``, ``x`` and ``u`` have to be there; ``alpha_p``,
+            ``alpha_g``, ``slack``, ``solve_ms``, ``zeta``, ``wind_n``, ``w_g`` and ``guard`` are
+            taken if they are, and others are left out. Shapes, units and frames are those of the
+            log; where a controller tells no margins they have shape (K, 0).
+        name : str
+            What to call it.
+        mode : str
+            Controller mode, or the class of a controller of one's own.
+        tower : Tower
+            What was flown around.
+        helix : ReferencePath
+            What was to be followed.
+        vehicle : Vehicle, optional
+            What was flown; tells rotor limits and the airframe.
+        gust : str, optional
+            Which gusts blew.
+        seed : int, optional
+            Seed of the gusts.
+        sampling_time_s : float, optional
+            T_s [s], the deadline of a step; if left out, the distance of the first two rows.
+        source : Path, optional
+            The file that the rows came from.
+
+        Raises
+        ------
+        ValueError
+            If a row that has to be there is not, or has another shape than the log's.
+        """
+        taken = {key: np.asarray(rows[key]) for key in _ROWS if key in rows}
+        t, x, u = _required(taken)
+        told = {key: taken[key] for key in ("alpha_p", "alpha_g", "slack") if key in taken}
+        if len(told) < 3 or told["slack"].size == 0:
+            told = dict.fromkeys(("alpha_p", "alpha_g", "slack"), np.zeros((0, 0)))
+        steps, stages = told["slack"].shape
+        solve_ms = taken.get("solve_ms", np.zeros(0))
+        wind = taken.get("wind_n", np.zeros((0, 3)))
+        if sampling_time_s is None:
+            sampling_time_s = float(t[1] - t[0]) if t.size > 1 else math.nan
+        return cls(
+            name=name,
+            source=source,
+            t=t,
+            p=x[:, :3],
+            eta=np.column_stack([x[:, 3:5], np.unwrap(x[:, 5])]),
+            recorded_residual=tower.residual(x[:, :3]),
+            t_rotors=t,
+            rotor_speed_hz=x[:, 12:],
+            margins=MarginHistory(
+                t[:steps],
+                np.zeros((steps, stages, 0)),
+                np.zeros((steps, stages)),
+                told["alpha_g"],
+                told["slack"],
+                parametric=told["alpha_p"],
+            ),
+            t_solve=t[: solve_ms.size],
+            solve_ms=solve_ms,
+            modes=((0.0, mode),),
+            deadline_ms=1e3 * sampling_time_s,
+            tower=tower,
+            helix=helix,
+            coverage=Coverage(covered_s=float(t[-1]), expected_s=float(t[-1])),
+            vehicle=vehicle,
+            clearance_from="ground_truth",
+            guarded=_spans(t, taken["guard"]) if "guard" in taken else None,
+            zeta=tuple(taken["zeta"].tolist()) if "zeta" in taken else None,
+            gust=gust,
+            seed=seed,
+            t_command=t,
+            command_hz_s=u,
+            t_wind=t[: len(wind)],
+            wind_n=wind,
+            gust_n=taken.get("w_g", np.zeros_like(wind)),
+        )
 
     @property
     def mode(self) -> str:
@@ -165,6 +280,12 @@ class Flight:
         return self.tower.residual(self.p)
 
     @cached_property
+    def tracking_error(self) -> Array:
+        """Distance to where the reference is at the times ``t`` [m], shape (n,)."""
+        error: Array = np.linalg.norm(self.p - self.helix.at(self.t, self.tower).position, axis=1)
+        return error
+
+    @cached_property
     def heading_error(self) -> Array:
         """Yaw minus the bearing to the tower's axis [rad], shape (n,), within +-pi."""
         bearing = np.arctan2(-self.p[:, 1], -self.p[:, 0])
@@ -192,3 +313,33 @@ class Flight:
     def solve_statistics(self) -> SolveStatistics | None:
         """The solve times in figures [ms]; None if none was recorded."""
         return solve_statistics(self.solve_ms) if self.solve_ms.size else None
+
+
+_ROWS = (
+    "t", "x", "u", "alpha_p", "alpha_g", "slack", "solve_ms", "zeta", "wind_n", "w_g", "guard"
+)  # fmt: skip
+
+
+def _required(taken: Mapping[str, NDArray[Any]]) -> tuple[Array, Array, Array]:
+    """Pick t, x and u; ValueError if they are no rows of one flight."""
+    for key in ("t", "x", "u"):
+        if key not in taken:
+            raise ValueError(f"a flight has rows {key}; there is {', '.join(taken) or 'nothing'}")
+    t, x, u = (np.asarray(taken[key], dtype=float) for key in ("t", "x", "u"))
+    n, n_rotors = len(t), u.shape[-1]
+    if t.shape != (n,) or n == 0 or u.shape != (n, n_rotors) or x.shape != (n, 12 + n_rotors):
+        raise ValueError(
+            f"t, x and u have shapes {t.shape}, {x.shape} and {u.shape}: expected (K,), "
+            "(K, 12 + N_p) and (K, N_p), K at least 1"
+        )
+    return t, x, u
+
+
+def _spans(t: Array, inside: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
+    """From when to when [s] something was so at the end of each row's period."""
+    edges = np.flatnonzero(np.diff(np.r_[False, inside, False].astype(int)))
+    last = len(t) - 1
+    return tuple(
+        (float(t[begin]), float(t[min(end, last)]))
+        for begin, end in zip(edges[::2], edges[1::2], strict=True)
+    )

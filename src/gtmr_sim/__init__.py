@@ -8,7 +8,8 @@
 
 """The plant with mismatch and gusts, and flights without ROS."""
 
-from gtmr_sim.flight import FlightError, FlightLog, StepController, fly
+from gtmr_sim.flying.flight import FlightError, StepController, fly
+from gtmr_sim.flying.log import FlightFileError, FlightLog
 from gtmr_sim.plant import Plant
 from gtmr_sim.registry import EFFECTS, GUSTS
 from gtmr_sim.scenario import GUST_KINDS, GustConfig, Scenario
@@ -20,6 +21,7 @@ __all__ = [
     "GUSTS",
     "GUST_KINDS",
     "FlightError",
+    "FlightFileError",
     "FlightLog",
     "GustConfig",
     "NamedWorld",

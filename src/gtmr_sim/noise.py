@@ -54,6 +54,17 @@ def _transverse(std: float, time_s: float) -> Filter:
     return a, b, c
 
 
+def _block_diagonal(blocks: list[Array]) -> Array:
+    """Lay matrices along the diagonal of one."""
+    shapes = np.array([block.shape for block in blocks])
+    whole, at = np.zeros(shapes.sum(axis=0)), np.zeros(2, dtype=int)
+    for block, shape in zip(blocks, shapes, strict=True):
+        (row, column), (end_row, end_column) = at, at + shape
+        whole[row:end_row, column:end_column] = block
+        at = at + shape
+    return whole
+
+
 def coloured_noise(
     filters: list[Filter], rng: np.random.Generator, period_s: float
 ) -> Callable[[], Array]:
@@ -61,14 +72,20 @@ def coloured_noise(
 
     What it gives is called for the next sample, one number a filter.
     """
-    # Here, as it takes longer to import than all else of a flight's start.
-    from scipy.linalg import block_diag, expm, solve_continuous_lyapunov
+    a = _block_diagonal([a for a, _, _ in filters])
+    b = _block_diagonal([b[:, None] for _, b, _ in filters])
+    c = _block_diagonal([c[None, :] for _, _, c in filters])
+    if all(len(f[0]) == 1 for f in filters):
+        # Filters of one state each do not mix, and have closed forms.
+        rates = np.diag(a)
+        transition = np.diag(np.exp(rates * period_s))
+        stationary = np.diag(np.diag(b) ** 2 / (-2.0 * rates))
+    else:
+        # Here, as it takes longer to import than all else of a flight's start.
+        from scipy.linalg import expm, solve_continuous_lyapunov
 
-    a = block_diag(*(f[0] for f in filters))
-    b = block_diag(*(f[1][:, None] for f in filters))
-    c = block_diag(*(f[2] for f in filters))
-    transition = expm(a * period_s)
-    stationary = solve_continuous_lyapunov(a, -b @ b.T)
+        transition = expm(a * period_s)
+        stationary = solve_continuous_lyapunov(a, -b @ b.T)
     increment = np.linalg.cholesky(stationary - transition @ stationary @ transition.T)
     state = np.linalg.cholesky(stationary) @ rng.standard_normal(len(a))
 

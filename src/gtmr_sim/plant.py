@@ -11,7 +11,7 @@
 import ctypes
 import math
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import casadi as ca
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gtmr_codegen.c_source import c_function
-from gtmr_codegen.library import CompileError, load_library, warn_interpreted
+from gtmr_codegen.library import CompileError, load_generated, load_library, warn_interpreted
 from gtmr_model.dynamics import ROTORS, rk4_step, state_derivative, symbols
 from gtmr_model.tower import Tower
 from gtmr_model.vehicle import Vehicle
@@ -125,12 +125,19 @@ class Plant:
 def _integrator(
     vehicle: Vehicle, step_s: float, tower: Tower, effects: tuple[Effect, ...], world: World
 ) -> Integrator:
-    step = _plant_step(vehicle, step_s, tower, effects, world)
+    @cache
+    def step() -> ca.Function:
+        return _plant_step(vehicle, step_s, tower, effects, world)
+
     try:
-        return _compiled(step)
+        if effects:
+            # What a function of somebody else's gives, only its result says.
+            return _compiled(step())
+        values = (vehicle, step_s, tower, world)
+        return _calling(load_generated("the plant", "gtmr_sim", values, lambda: _sources(step())))
     except CompileError as error:
         warn_interpreted(error)
-        return partial(_interpreted, step)
+        return partial(_interpreted, step())
 
 
 def _plant_step(
@@ -182,24 +189,25 @@ def _plant_step(
 
 
 def _compiled(step: ca.Function) -> Integrator:
+    return _calling(load_library("the plant", *_sources(step)))
+
+
+def _sources(step: ca.Function) -> tuple[dict[str, str], dict[str, tuple[str, ...]]]:
+    """Write the sources of the plant, and their flags."""
     sizes = [step.size1_in(i) for i in range(step.n_in())]
     try:
         source = c_function(step)
     except NotImplementedError as error:
         raise CompileError(f"an effect cannot be compiled: {error}") from None
-    library = load_library(
-        "the plant",
+    size = (f"-DN_STATE={sizes[0]}", f"-DLEAST={sum(sizes)}")
+    return (
         {"plant_step.c": f"#include <math.h>\n\n{source}\n{ADVANCE}"},
         # Without fused operations the results are those of CasADi's virtual machine, bit by bit.
-        {
-            "plant_step.c": (
-                "-O2",
-                "-ffp-contract=off",
-                f"-DN_STATE={sizes[0]}",
-                f"-DLEAST={sum(sizes)}",
-            )
-        },
+        {"plant_step.c": ("-O2", "-ffp-contract=off", *size)},
     )
+
+
+def _calling(library: ctypes.CDLL) -> Integrator:
     library.plant_advance.restype = None
 
     def integrate(memory: Array, steps: int) -> None:

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from support.written_bags import SAMPLE, cdr, copied, flown, new
 
-from gtmr_model import Vehicle
-from gtmr_monitor import BagError, BagMessage, read_flight
+from gtmr_model import Helix, Tower, Vehicle
+from gtmr_monitor import BagError, BagMessage, Flight, read_flight
 
 CLEAR_M, TOO_CLOSE_M = 0.35, 0.10
 
@@ -212,3 +212,58 @@ def test_a_report_tells_of_messages_out_of_order(gtmr, tmp_path):
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert said in text
     assert "<strong>0.100</strong>" in text
+
+
+def rows(**changes):
+    """Ten rows as those of a flight in process, 0.3 m from the tower."""
+    x = np.zeros((10, 18))
+    x[:, 0], x[:, 12:] = 1.3, 61.0
+    told = {"t": 0.025 * np.arange(10), "x": x, "u": np.full((10, 6), 7.0)}
+    stages = dict.fromkeys(("alpha_p", "alpha_g", "slack"), np.full((10, 21), 0.01))
+    guard = np.arange(10) % 5 > 2
+    return told | stages | {"guard": guard, "zeta": np.arange(9.0)} | changes
+
+
+MADE = {"name": "x", "mode": "robust", "tower": Tower(), "helix": Helix()}
+
+
+def test_rows_of_a_flight_in_process_make_a_flight_as_a_bag_does():
+    flight = Flight.from_rows(rows(), **MADE, vehicle=Vehicle.paper())
+
+    assert flight.clearance == pytest.approx(np.full(10, 0.3))
+    assert flight.rotor_speed_hz.shape == flight.command_hz_s.shape == (10, 6)
+    assert flight.margins.total == pytest.approx(np.full((10, 21), 0.02))
+    assert np.array(flight.guarded) == pytest.approx(np.array([[0.075, 0.125], [0.2, 0.225]]))
+    assert flight.deadline_ms == pytest.approx(25.0)
+    assert flight.zeta == tuple(range(9))
+    assert flight.airframe_clearance is not None
+
+
+def test_a_controller_that_tells_no_margins_makes_a_flight_without():
+    none = dict.fromkeys(("alpha_p", "alpha_g", "slack"), np.zeros((10, 0)))
+
+    flight = Flight.from_rows(rows(**none), **MADE)
+
+    assert flight.margins.t.size == flight.t_wind.size == 0
+    assert flight.solve_statistics is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [({"x": np.zeros((10, 12))}, "expected"), ({"t": np.zeros(9)}, "expected")],
+)
+def test_rows_that_do_not_fit_together_are_refused(changes, said):
+    with pytest.raises(ValueError, match=said):
+        Flight.from_rows(rows(**changes), **MADE)
+    with pytest.raises(ValueError, match="a flight has rows u"):
+        Flight.from_rows({key: value for key, value in rows().items() if key != "u"}, **MADE)
+
+
+def test_a_bag_tells_what_was_commanded():
+    flight = read_flight(SAMPLE)
+
+    # A stage later the speed has changed by the command, as the plan in the bag goes.
+    assert flight.command_hz_s.shape == (len(flight.t_command), 6)
+    at = np.searchsorted(flight.t_rotors, flight.t_command[5:50])
+    change_hz = flight.rotor_speed_hz[at + 1] - flight.rotor_speed_hz[at]
+    assert 0.025 * flight.command_hz_s[5:50] == pytest.approx(change_hz, abs=0.05)

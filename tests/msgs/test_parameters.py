@@ -10,11 +10,12 @@
 
 import pytest
 import rclpy
+import yaml
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from gtmr_model import ConfigError
+from gtmr_model import ConfigError, Vehicle
 from gtmr_msgs_py.node.declarations import declarations
 from gtmr_msgs_py.node.parameters import ModelParameters
 from gtmr_nmpc.node import NmpcParameters
@@ -155,3 +156,15 @@ def test_a_settled_value_is_shown_and_fixed(make_node):
 def test_a_flight_that_cannot_be_flown_is_refused(make_node, overrides, reason):
     with pytest.raises(ConfigError, match=reason):
         ModelParameters(make_node(**overrides), SimParameters, PRESETS)
+
+
+def test_a_file_that_a_controllers_file_names_is_beside_it(make_node, tmp_path, monkeypatch):
+    paper = Vehicle.paper().model_dump(mode="json")
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts/mine.yaml").write_text(yaml.safe_dump(paper | {"name": "mine"}))
+    (tmp_path / "tuned.yaml").write_text("vehicle: parts/mine.yaml\n")
+    monkeypatch.chdir("/")
+    node = make_node(controller=str(tmp_path / "tuned.yaml"))
+    assert nmpc_parameters(node, base="controller").value.vehicle.name == "mine"
+    # As a path that the reader of a bag finds too.
+    assert node.get_parameter("vehicle").value == str(tmp_path / "parts/mine.yaml")

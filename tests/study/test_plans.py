@@ -60,7 +60,7 @@ def test_a_grid_covers_two_channels_evenly():
 
 
 def test_more_trials_than_points_go_round_with_other_gusts():
-    study = Study(plan=TrialPlan(kind="grid", levels=2), trials=6)
+    study = Study(plan=TrialPlan(kind="grid", channels=("mass", "thrust"), levels=2), trials=6)
 
     first, again = study.scenario(1), study.scenario(5)
 
@@ -106,6 +106,7 @@ BAD = {
     "unknown key below": ({"plan": {"sort": "grid"}}, "plan.sort is not a known field"),
     "unknown plan": ({"plan": {"kind": "sobol"}}, "plan.kind = 'sobol'"),
     "unknown channel": ({"plan": {"kind": "grid", "channels": ["mass", "luck"]}}, "'luck'"),
+    "grid of none": ({"plan": {"kind": "grid"}}, "a grid needs 2 channels, not 0"),
     "grid of one": ({"plan": {"kind": "grid", "channels": ["mass"]}}, "a grid needs 2 channels"),
     "channels of random": ({"plan": {"channels": ["mass"]}}, "leave channels out"),
     "no trials": ({"trials": 0}, "trials = 0"),

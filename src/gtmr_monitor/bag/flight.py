@@ -96,7 +96,7 @@ def flight_of(recording: Recording) -> Flight:
         parameters.get(f"{recording.namespace}/{node}", {}) for node in ("sim", "nmpc", "monitor")
     )
     switches = [change for change in recording.controller_changes if change.values.get("mode")]
-    rotors = recording.rotor_states
+    rotors, commands = recording.rotor_states, recording.commands
     tower = _model(path, Tower, "tower", (monitor, sim, nmpc))
     notes = list(recording.notes)
     if recording.before_reset:
@@ -132,6 +132,8 @@ def flight_of(recording: Recording) -> Flight:
         gust=sim.get("gust.kind"),
         seed=sim.get("seed"),
         parameters=dict(parameters),
+        t_command=flight_time([item.stamp_ns for item in commands]),
+        command_hz_s=_first_accelerations(commands),
         truncated=recording.truncated,
         late=recording.late,
         notes=tuple(notes),
@@ -222,6 +224,16 @@ def _labels(message: Any) -> tuple[str, ...]:
 def _rows(vectors: list[Array]) -> Array:
     """Stack the vectors that are as long as the first."""
     return np.array([v for v in vectors if v.size == vectors[0].size] or np.zeros((0, 0)))
+
+
+def _first_accelerations(commands: list[Recorded]) -> Array:
+    """Take what plans command first [Hz/s], shape (c, N_p); NaN where a plan has another shape."""
+    first = [item.message.points[:1] for item in commands]
+    rows = [np.asarray(point[0].accelerations if point else ()) for point in first]
+    n_rotors = max((row.size for row in rows), default=0)
+    nothing = np.full(n_rotors, np.nan)
+    told = [row if row.size == n_rotors else nothing for row in rows]
+    return np.array(told).reshape(len(rows), n_rotors) / RAD_PER_TURN
 
 
 def _roll_pitch_yaw(odometry: list[Recorded]) -> Array:

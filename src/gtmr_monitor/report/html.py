@@ -8,62 +8,102 @@
 
 """What every report is made of: a page that loads nothing, its style sheet, and tables."""
 
-from collections.abc import Sequence
+import base64
+import gzip
+from collections.abc import Iterable, Sequence
+from functools import cache
 from html import escape
+from importlib.resources import files
+from typing import NamedTuple
 
-_STYLE = """
-:root { color-scheme: light; }
-body {
-  max-width: 1080px; margin: 2.5rem auto 5rem; padding: 0 1.25rem;
-  font: 16px/1.5 system-ui, "Segoe UI", "Helvetica Neue", Arial, sans-serif;
-  color: #1a1a1a; background: #fff;
-}
-h1 { font-size: 1.9rem; line-height: 1.2; margin: 0 0 1.5rem; }
-h2 { font-size: 1.3rem; line-height: 1.3; margin: 2.75rem 0 0.5rem; }
-p { max-width: 46rem; margin: 0.25rem 0 0.75rem; color: #444; }
-figure { margin: 0; break-inside: avoid; }
-figure svg { max-width: 100%; height: auto; }
-.tables { display: flex; flex-wrap: wrap; column-gap: 5rem; }
-.tables section { min-width: 0; }
-.tables h2 { margin-top: 0.5rem; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: 0.22rem 1.4rem 0.22rem 0; text-align: left; font-weight: 400; }
-tbody tr { border-top: 1px solid #e3e3e3; }
-tbody th { color: #444; padding-right: 1.8rem; }
-thead th { font-weight: 600; white-space: nowrap; }
-.wide th, .wide td { padding-right: 0.8rem; font-size: 0.9em; }
-.wide thead th { white-space: normal; }
-.key {
-  display: inline-block; width: 0.8em; height: 0.8em; margin-right: 0.45em; border-radius: 2px;
-}
-.bad { color: #a33c00; }
-.warning {
-  padding: 0.6rem 0.9rem; border-left: 4px solid #d55e00; background: #fdf1ea; color: #1a1a1a;
-}
-@media print { body { margin: 0; max-width: none; } }
+from plotly.offline import get_plotlyjs
+
+from gtmr_monitor.report.look import PALETTE, themed
+
+GOOD, BAD = "✓", "✗"
+"""Signs beside the colours of what is well and what is not, which not everybody tells apart."""
+
+
+class Card(NamedTuple):
+    """A figure that is seen first."""
+
+    title: str
+    """What it is of, in plain text."""
+    value: str
+    """The figure, in HTML."""
+    text: str
+    """What it means, in HTML."""
+    key: str = "grid"
+    """Colour of its edge in the palette."""
+
+
+def page(title: str, body: str, charts: bool = False) -> str:
+    """Make a page that loads nothing, of a title in plain text and a body in HTML.
+
+    ``charts`` says whether the body has some, which plotly draws.
+    """
+    script = f"""<script type="text/plain" id="plotly">{_plotly()}</script>
+<script>{_own("page.js")}</script>
 """
-
-
-def page(title: str, body: str, script: str = "") -> str:
-    """Make a page that loads nothing, of a title in plain text and a body in HTML."""
     # The icon in the page keeps the browser from asking for one.
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark">
 <title>{escape(title)}</title>
 <link rel="icon" href="data:,">
-<style>{_STYLE}</style>
-{f"<script>{script}</script>" if script else ""}
+<style>
+{_themes()}{_own("page.css")}</style>
 </head>
 <body>
+<main>
 <h1>{escape(title)}</h1>
 {body}
-</body>
+</main>
+{script if charts else ""}</body>
 </html>
 """
+
+
+@cache
+def _plotly() -> str:
+    """Read plotly's source, packed to less than half of its size."""
+    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()
+
+
+def _own(name: str) -> str:
+    return files("gtmr_monitor.report").joinpath(name).read_text(encoding="utf-8")
+
+
+def _themes() -> str:
+    """Write the palette as CSS variables; the browser says which theme its user wants."""
+    light, dark = (
+        "".join(f" --{name}: {pair[theme]};" for name, pair in PALETTE.items()) for theme in (0, 1)
+    )
+    return (
+        f":root {{ color-scheme: light dark;{light} }}\n"
+        f"@media (prefers-color-scheme: dark) {{ :root {{{dark} }} }}\n"
+        # On paper there is no dark page.
+        f"@media print {{ :root {{{light} }} }}\n"
+    )
+
+
+def cards(shown: Iterable[Card]) -> str:
+    """Put the figures that matter most beside each other."""
+    items = "\n".join(
+        f'<li style="border-color: {themed(card.key)}">{escape(card.title)}<b>{card.value}</b>'
+        f"<small>{card.text}</small></li>"
+        for card in shown
+    )
+    return f'<ul class="cards">\n{items}\n</ul>'
+
+
+def verdict(good: bool, text: str) -> str:
+    """Write words, in HTML, in the colour and with the sign of what is well or is not."""
+    kind, sign = ("good", GOOD) if good else ("bad", BAD)
+    return f'<span class="verdict {kind}">{sign} {text}</span>'
 
 
 def table(heads: Sequence[tuple[str, str]], rows: Sequence[tuple[str, Sequence[str]]]) -> str:
@@ -71,18 +111,18 @@ def table(heads: Sequence[tuple[str, str]], rows: Sequence[tuple[str, Sequence[s
 
     Each head is a column's title in plain text, and its colour, empty for none.
     """
-    head = "".join(
-        f'<th scope="col">{_key(colour)}{escape(title)}</th>' for title, colour in heads
-    )
+    head = "".join(f'<th scope="col">{key(colour)}{escape(title)}</th>' for title, colour in heads)
     head = f"<thead><tr><td></td>{head}</tr></thead>" if heads else ""
     body = "\n".join(
         f'<tr><th scope="row">{title}</th>' + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>"
         for title, row in rows
     )
-    return f'<div class="scroll"><table>{head}<tbody>\n{body}\n</tbody></table></div>'
+    # Reached by the keyboard too, so that it can be scrolled.
+    return f'<div class="scroll" tabindex="0"><table>{head}<tbody>\n{body}\n</tbody></table></div>'
 
 
-def _key(colour: str) -> str:
+def key(colour: str) -> str:
+    """Put the patch of a colour in front of its name; nothing for none."""
     return f'<span class="key" style="background:{colour}"></span>' if colour else ""
 
 

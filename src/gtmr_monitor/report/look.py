@@ -19,53 +19,109 @@ from gtmr_monitor.flight import Flight, MarginHistory
 
 Array = NDArray[np.float64]
 
-INK = "#1a1a1a"
-"""Text and axes."""
-QUIET = "#6b6b6b"
-"""The reference, secondary text."""
-GRID = "#e3e3e3"
-LIMIT = "#1a1a1a"
-"""The safety line at s = 0."""
-TOWER = "#c9c9c9"
+# Light theme, dark theme. Figures on paper take the first; a page takes that which the browser
+# asks for. Modes, guard, replayed and others are Okabe and Ito's palette, told apart with any
+# colour vision: blue and vermillion are its pair of strongest contrast, and differ in lightness
+# too. Parts of margins are Tol's muted palette, in which no two neighbours of the stack are close
+# in hue and lightness, then greys. The dark ones have at least 3:1 on their page.
+PALETTE: dict[str, tuple[str, str]] = {
+    "page": ("#ffffff", "#15181b"),
+    "raised": ("#f5f6f7", "#1f2428"),
+    "ink": ("#1a1a1a", "#e9e7e4"),
+    "quiet": ("#5c5c5c", "#a8adb2"),
+    "grid": ("#e3e3e3", "#30363b"),
+    "limit": ("#1a1a1a", "#e9e7e4"),
+    "tower": ("#c9c9c9", "#6a7076"),
+    "good": ("#00694d", "#4fd0a5"),
+    "bad": ("#a33c00", "#ff9d66"),
+    "nominal": ("#D55E00", "#f0803c"),
+    "robust": ("#0072B2", "#4aa3e6"),
+    "offset_free": ("#009E73", "#2fc297"),
+    "other": ("#CC79A7", "#d98bb6"),
+    "gap": ("#bdbdbd", "#5a5f64"),
+    "guard": ("#E69F00", "#e6a91a"),
+    "replayed": ("#56B4E9", "#7fc8f0"),
+    "paper": ("#8c8c8c", "#9aa0a6"),
+    "margin-mass": ("#332288", "#8f83e0"),
+    "margin-J_x": ("#DDCC77", "#ddcc77"),
+    "margin-J_y": ("#999933", "#a9a944"),
+    "margin-J_z": ("#882255", "#c4568c"),
+    "margin-thrust": ("#44AA99", "#44aa99"),
+    "margin-drag": ("#AA4499", "#cf6fbf"),
+    "margin-w_bx": ("#88CCEE", "#88ccee"),
+    "margin-w_by": ("#CC6677", "#d97a8a"),
+    "margin-w_bz": ("#117733", "#3fa65f"),
+    "margin-eps_s": ("#1a1a1a", "#e9e7e4"),
+    "margin-parametric": ("#332288", "#8f83e0"),
+    "margin-gust": ("#bdbdbd", "#bdbdbd"),
+    "margin-noise": ("#6b6b6b", "#7d8388"),
+    "margin-estimate": ("#E69F00", "#e6a91a"),
+    "axis-x": ("#0072B2", "#4aa3e6"),
+    "axis-y": ("#B36B00", "#e6a91a"),
+    "axis-z": ("#00805d", "#2fc297"),
+    "rotor-0": ("#0072B2", "#4aa3e6"),
+    "rotor-1": ("#E69F00", "#e6a91a"),
+    "rotor-2": ("#009E73", "#2fc297"),
+    "rotor-3": ("#CC79A7", "#d98bb6"),
+    "rotor-4": ("#56B4E9", "#9ad4f5"),
+    "rotor-5": ("#D55E00", "#f0803c"),
+    "rotor-6": ("#332288", "#8f83e0"),
+    "rotor-7": ("#999933", "#b9b94f"),
+}
+"""Colours by name, on a light page and on a dark one; pages know them as CSS variables."""
 
-# Okabe and Ito's palette: told apart with any colour vision. Blue and vermillion are its pair of
-# strongest contrast, and differ in lightness too.
-MODE_COLOURS = {"nominal": "#D55E00", "robust": "#0072B2", "offset_free": "#009E73"}
-OTHER_COLOUR = "#CC79A7"
+LIGHT = {name: light for name, (light, _) in PALETTE.items()}
+INK, QUIET, GRID, LIMIT, TOWER = (
+    LIGHT[name] for name in ("ink", "quiet", "grid", "limit", "tower")
+)
+"""Text and axes, secondary text and the reference, lines of a grid, safety line, tower."""
+MODES = ("nominal", "robust", "offset_free")
+MODE_COLOURS = {name: LIGHT[name] for name in MODES}
+OTHER_COLOUR = LIGHT["other"]
 """Flights that switched their mode, or do not tell it."""
-GAP_COLOUR = "#bdbdbd"
+GAP_COLOUR = LIGHT["gap"]
 """Where the record of a flight has a gap."""
-GUARD_COLOUR = "#E69F00"
+GUARD_COLOUR = LIGHT["guard"]
 """While the guard was in charge."""
-REPLAYED_COLOUR = "#56B4E9"
+REPLAYED_COLOUR = LIGHT["replayed"]
 """What a controller would have done that did not fly."""
 Dash = Literal["solid", "dash", "dot"]
 DASHES: tuple[Dash, ...] = ("solid", "dash", "dot")
 """Tells flights of the same mode apart."""
+_WIDTHS_PX = {"nominal": 4.2, "robust": 1.9, "offset_free": 1.2}
+"""Where flights coincide, the thinner line lies on the thicker one, and both are seen."""
 
-# Tol's muted palette for the nine channels of zeta, then two greys; no two neighbours in the
-# stack are close in hue and lightness.
-_MARGINS = {
-    "mass": ("mass", "#332288"),
-    "J_x": ("inertia x", "#DDCC77"),
-    "J_y": ("inertia y", "#999933"),
-    "J_z": ("inertia z", "#882255"),
-    "thrust": ("thrust", "#44AA99"),
-    "drag": ("drag", "#AA4499"),
-    "w_bx": ("wind bias x", "#88CCEE"),
-    "w_by": ("wind bias y", "#CC6677"),
-    "w_bz": ("wind bias z", "#117733"),
-    "eps_s": ("slack term ε", "#1a1a1a"),
-    "gust": ("gust", "#bdbdbd"),
-    "noise": ("noise", "#6b6b6b"),
-    "estimate": ("estimate", "#E69F00"),
+MARGIN_LABELS = {
+    "mass": "mass",
+    "J_x": "inertia x",
+    "J_y": "inertia y",
+    "J_z": "inertia z",
+    "thrust": "thrust",
+    "drag": "drag",
+    "w_bx": "wind bias x",
+    "w_by": "wind bias y",
+    "w_bz": "wind bias z",
+    "eps_s": "slack term ε",
+    "gust": "gust",
+    "noise": "noise",
+    "estimate": "estimate",
+    "parametric": "parametric α_p",
 }
-MARGIN_LABELS = {name: label for name, (label, _) in _MARGINS.items()}
-MARGIN_COLOURS = {name: colour for name, (_, colour) in _MARGINS.items()}
+"""What parts of a margin are called, in the order in which they are stacked."""
+MARGIN_COLOURS = {name: LIGHT[f"margin-{name}"] for name in MARGIN_LABELS}
+_N_ROTOR_COLOURS = sum(name.startswith("rotor-") for name in PALETTE)
 
-_ROTOR_COLOURS = (
-    "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#332288", "#999933"
-)  # fmt: skip
+
+def themed(name: str) -> str:
+    """Colour of the palette as a page has it, in either theme: a CSS variable."""
+    if name not in PALETTE:
+        raise KeyError(f"colour {name!r}: there is {', '.join(PALETTE)}")
+    return f"var(--{name})"
+
+
+def mode_key(mode: str) -> str:
+    """Name the colour of a mode, or of a controller of one's own, in the palette."""
+    return mode if mode in MODES else "other"
 
 
 @dataclass(frozen=True)
@@ -74,10 +130,22 @@ class Line:
 
     label: str
     """Its name in legends and tables."""
-    colour: str
-    """By its mode."""
+    key: str
+    """Its colour's name in the palette, by its mode."""
     dash: Dash
     """By its number among the flights of its mode."""
+    width_px: float
+    """By its mode."""
+
+    @property
+    def colour(self) -> str:
+        """Its colour on paper."""
+        return LIGHT[self.key]
+
+    @property
+    def themed(self) -> str:
+        """Its colour on a page."""
+        return themed(self.key)
 
 
 Flown = Sequence[tuple[Flight, Line]]
@@ -94,26 +162,34 @@ def lines(flights: Sequence[Flight]) -> list[Line]:
         seen[mode] += 1
         alone = modes.count(mode) == 1 and flight.mode != "unknown"
         label = mode if alone else f"{mode} ({flight.name})"
-        colour = REPLAYED_COLOUR if flight.replayed else MODE_COLOURS.get(mode, OTHER_COLOUR)
-        result.append(Line(label, colour, DASHES[number % len(DASHES)]))
+        key = "replayed" if flight.replayed else mode_key(mode)
+        width_px = _WIDTHS_PX.get(key, 1.9)
+        result.append(Line(label, key, DASHES[number % len(DASHES)], width_px))
     return result
+
+
+def stacked(flown: Flown) -> Flown:
+    """Order flights so that the thinner lines are drawn last, on top of the thicker ones."""
+    return sorted(flown, key=lambda each: -each[1].width_px)
 
 
 def margin_parts(margins: MarginHistory) -> dict[str, Array]:
     """Split the total margin into its parts, in the order in which they are stacked.
 
-    By channel of zeta, then ``eps_s``, ``gust`` and further ones that are not all zero,
-    each [m], shape (M, N + 1).
+    By channel of zeta, or ``parametric`` where these are not known, then ``eps_s``, ``gust``
+    and further ones that are not all zero, each [m], shape (M, N + 1).
     """
-    channels = list(MARGIN_COLOURS)[:9]
     further = {n: m for n, m in margins.further.items() if n in MARGIN_COLOURS and m.any()}
+    if margins.parametric is not None:
+        return {"parametric": margins.parametric, "gust": margins.alpha_g, **further}
+    channels = list(MARGIN_COLOURS)[:9]
     parts = {name: margins.by_channel[:, :, j] for j, name in enumerate(channels)}
     return {**parts, "eps_s": margins.eps_s, "gust": margins.alpha_g, **further}
 
 
-def rotor_colour(rotor: int) -> str:
-    """Colour of the line of a rotor, numbered from 0."""
-    return _ROTOR_COLOURS[rotor % len(_ROTOR_COLOURS)]
+def rotor_key(rotor: int) -> str:
+    """Name the colour of a rotor's line in the palette; rotors are numbered from 0."""
+    return f"rotor-{rotor % _N_ROTOR_COLOURS}"
 
 
 def solve_time_bins(flights: Sequence[Flight]) -> Array:
@@ -126,14 +202,28 @@ def solve_time_bins(flights: Sequence[Flight]) -> Array:
 
 
 def spans(flight: Flight) -> list[tuple[float, float, str, str]]:
-    """Say what to shade over time: beginning and end [s], colour, name."""
-    gaps = [(*gap, GAP_COLOUR, "gap") for gap in flight.coverage.gaps]
-    return gaps + [(*span, GUARD_COLOUR, "guard") for span in flight.guarded or ()]
+    """Say what to shade over time: beginning and end [s], colour in the palette, name."""
+    gaps = [(*gap, "gap", "gap") for gap in flight.coverage.gaps]
+    return gaps + [(*span, "guard", "guard") for span in flight.guarded or ()]
 
 
 def tightened(flown: Flown) -> Flown:
     """Pick the flights in which the clearance constraint was tightened."""
     return [(flight, line) for flight, line in flown if flight.margins.total.any()]
+
+
+def blown(flown: Flown) -> Flown:
+    """Pick the flights that tell wind and gusts, each weather once: all may meet the same."""
+    different: list[tuple[Flight, Line]] = []
+    for flight, line in moved(flown):
+        known = any(
+            np.array_equal(flight.gust_n, other.gust_n)
+            and np.array_equal(flight.wind_n, other.wind_n)
+            for other, _ in different
+        )
+        if flight.t_wind.size and not known:
+            different.append((flight, line))
+    return different
 
 
 def moved(flown: Flown) -> Flown:
@@ -160,9 +250,28 @@ def airframes(flown: Flown) -> list[tuple[Flight, Line, Array]]:
 
 
 def heights(flown: Flown) -> Array:
-    """Say where the drawn tower begins and ends [m], shape (2,)."""
+    """Say where the drawn tower begins and ends [m], shape (2,).
+
+    Tall enough for a tower also where a flight is short.
+    """
     z = np.concatenate([flight.p[:, 2] for flight, _ in flown])
-    return np.array([z.min() - 0.15, z.max() + 0.15])
+    half = max(0.5 * np.ptp(z) + 0.3, flown[0][0].tower.radius_m)
+    middle = 0.5 * (z.min() + z.max())
+    return np.array([middle - half, middle + half])
+
+
+def viewpoint(flown: Flown) -> float:
+    """Azimuth of a viewer in front of what is to be seen [rad], seen from the tower's axis.
+
+    Of flights that go not all the way around it is their middle, of others the place of the least
+    clearance.
+    """
+    p = np.concatenate([flight.p for flight, _ in flown])
+    azimuth = np.arctan2(p[:, 1], p[:, 0])
+    mean = np.exp(1j * azimuth).mean()
+    if abs(mean) > 0.25:
+        return float(np.angle(mean))
+    return float(azimuth[np.concatenate([flight.clearance for flight, _ in flown]).argmin()])
 
 
 def circle(radius_m: float) -> Array:

@@ -14,21 +14,25 @@ from html import escape
 from pathlib import Path
 from typing import Literal
 
-from plotly.offline import get_plotlyjs
+import numpy as np
 
 from gtmr_model import CHANNELS
 from gtmr_monitor.bag.format import BagError
 from gtmr_monitor.flight import Flight
-from gtmr_monitor.report.browser import CHARTS
-from gtmr_monitor.report.html import page, signed, table
-from gtmr_monitor.report.look import Flown, lines
+from gtmr_monitor.report import look
+from gtmr_monitor.report.charts import charts_html
+from gtmr_monitor.report.curves import SECTIONS
+from gtmr_monitor.report.decimation import MOST_POINTS
+from gtmr_monitor.report.html import Card, cards, page, signed, table, verdict
+from gtmr_monitor.report.look import Flown, Line, lines
 from gtmr_monitor.report.paper import write_figures
 
 CAPTIONS = {
     "trajectory": (
         "Trajectory",
         "The flights around the tower, with the helix that was to be followed and the shell of "
-        "least admissible clearance. Drag to turn, scroll to zoom.",
+        "least admissible clearance. A path behind the tower shines through it. Drag to turn, "
+        "scroll to zoom.",
     ),
     "residual": (
         "Clearance residual",
@@ -43,25 +47,43 @@ CAPTIONS = {
         "its airframe, the nearest rotor disc, which is inside the tower below 0. The constraint "
         "of the paper is on the centre.",
     ),
+    "tracking": (
+        "Tracking error",
+        "Distance of the vehicle's centre to where the reference is at that time. A robust "
+        "controller keeps away from the reference on purpose where its margins ask for it.",
+    ),
+    "wind": (
+        "Wind and gusts",
+        "Forces on the vehicle: dashed what the wind does without gusts, thin the gust force "
+        "w<sub>g</sub>. Flights that met the same weather share a plot.",
+    ),
     "margins": (
         "Tightening margins",
         "By how much the clearance constraint is tightened, and for which uncertainty: the terms "
         "of α<sub>p</sub> by channel, its constant term, and the gust margin α<sub>g</sub>.",
     ),
-    "solve_times": (
-        "Solve times",
-        "Preparation and feedback of each controller step, wall time, on a logarithmic scale.",
+    "slack": (
+        "Slack",
+        "By how much a plan violates the tightened clearance at most: zero where it can be kept.",
     ),
-    "rotors": ("Rotor speeds", "Speed of each rotor as the simulator reported it."),
+    "rotors": (
+        "Rotor speeds",
+        "Speed of each rotor as the simulator reported it, between its limits.",
+    ),
+    "commands": (
+        "Commands",
+        "Acceleration of each rotor that the controller commanded, between its limits.",
+    ),
     "attitude": (
         "Attitude",
         "Roll, pitch, and the heading error: yaw minus the bearing to the tower's axis.",
     ),
+    "solve_times": (
+        "Solve times",
+        "Preparation and feedback of each controller step, wall time, on a logarithmic scale.",
+    ),
 }
-"""Title and explanation of every figure."""
-
-# Plotly offers by default to upload a chart to its makers; a report stays where it is.
-_PLOTLY_CONFIG = {"displaylogo": False, "responsive": True, "showSendToCloud": False}
+"""Title and explanation of every section."""
 
 _MOST_SPANS = 10
 """So many times at which the guard was in charge are listed."""
@@ -94,7 +116,7 @@ def write_report(flights: Sequence[Flight], out_html: str | Path) -> list[Path]:
 def _page(flown: Flown) -> str:
     labels = [line.label for _, line in flown]
     modes = " and ".join(filter(None, (", ".join(labels[:-1]), labels[-1])))
-    sections = "\n".join(_section(name, flown) for name in CHARTS)
+    trajectory, *sections = (_section(name, flown) for name in SECTIONS)
     foreseen = any(flight.predictions is not None for flight, _ in flown)
     warnings = "".join(
         f'<p class="warning">{escape(line.label)}: the bag has no end, because its recorder was '
@@ -133,27 +155,56 @@ def _page(flown: Flown) -> str:
         for flight, line in flown
         if flight.clearance_from == "odom"
     )
-    body = f"""{warnings}
+    body = f"""{cards(_card(flight, line) for flight, line in look.moved(flown))}
+{warnings}
+{trajectory}
 <div class="tables">
 <section><h2>Summary</h2>
 {_table(flown, (*_SUMMARY, *_COMPARISON) if foreseen else _SUMMARY)}</section>
 <section><h2>Flight conditions</h2>
 {_table(flown, _CONDITIONS)}</section>
 </div>
-{sections}"""
-    return page(f"Tower inspection: {modes}", body, get_plotlyjs())
+{"".join(sections)}{_thinned(flown)}"""
+    return page(f"Tower inspection: {modes}", body, charts=True)
+
+
+def _card(flight: Flight, line: Line) -> Card:
+    """Say first whether the clearance was kept, and by how much."""
+    statistics = flight.residual_statistics
+    kept = not statistics["violated"]
+    covered = "" if flight.coverage.whole else ", in what is recorded"
+    by_mm = 1e3 * abs(statistics["residual_m"]["max"])
+    return Card(
+        line.label,
+        f"{statistics['min_clearance_m']:.3f} m",
+        f"least clearance, {by_mm:.0f} mm {'above' if kept else 'below'} d<sub>min</sub><br>"
+        + verdict(kept, f"{'kept' if kept else 'violated'}{covered}"),
+        line.key,
+    )
+
+
+def _thinned(flown: Flown) -> str:
+    """Say so if curves are drawn from fewer samples than there are."""
+    most = max(flight.t.size for flight, _ in flown)
+    if most <= MOST_POINTS:
+        return ""
+    return (
+        f'<p class="note">Curves of more than {MOST_POINTS} samples (up to {most} here) are '
+        "thinned out: of each short span of time the smallest and the largest are drawn. Numbers "
+        "are of all samples.</p>"
+    )
 
 
 def _section(name: str, flown: Flown) -> str:
+    charts = SECTIONS[name](flown)
+    if not charts:
+        return ""
     title, caption = CAPTIONS[name]
-    chart = CHARTS[name](flown).to_html(
-        full_html=False, include_plotlyjs=False, config=_PLOTLY_CONFIG, div_id=f"chart-{name}"
-    )
-    return f'<h2>{title}</h2>\n<p>{caption}</p>\n<figure id="{name}">{chart}</figure>'
+    return f"<section><h2>{title}</h2>\n<p>{caption}</p>\n{charts_html(name, charts)}</section>\n"
 
 
 def _table(flown: Flown, rows: Sequence[Row]) -> str:
-    heads = [(line.label, line.colour) for _, line in flown]
+    heads = [(line.label, line.themed) for _, line in flown]
     cells = [(name, [value(flight) for flight, _ in flown]) for name, value in rows]
     told = [(name, ["not recorded" if c is None else c for c in row]) for name, row in cells]
     return table(heads, told)
@@ -170,7 +221,7 @@ def _violated(flight: Flight) -> str:
     limits = "" if flight.coverage.whole else ", in what is covered"
     if not flight.residual_statistics["violated"]:
         return f"no{limits}"
-    return f'<strong class="bad">yes</strong>, {share:.1f} % of samples{limits}'
+    return f"{verdict(False, 'yes')}, {share:.1f} % of samples{limits}"
 
 
 def _solve(key: Literal["median", "p99", "max"]) -> Value:
@@ -219,6 +270,8 @@ _SUMMARY: tuple[Row, ...] = (
     ("median [m]", _quartile("median")),
     ("lower quartile [m]", _quartile("q1")),
     ("minimum [m]", _quartile("min")),
+    ("tracking error, RMS [m]", lambda f: f"{np.sqrt(np.mean(f.tracking_error**2)):.3f}"),
+    ("maximum [m]", lambda f: f"{f.tracking_error.max():.3f}"),
     ("samples", lambda f: str(f.residual.size)),
     (
         "guard in charge [s]",
@@ -233,6 +286,10 @@ _SUMMARY: tuple[Row, ...] = (
         lambda f: None if (n := f.deadline_misses) is None else f"{n} of {f.solve_ms.size}",
     ),
     ("steps with slack", _softened),
+    (
+        "largest slack [mm]",
+        lambda f: f"{1e3 * f.margins.slack.max():.2f}" if f.margins.slack.size else None,
+    ),
 )
 _COMPARISON: tuple[Row, ...] = (
     ("residual foreseen at the end of plans, maximum [m]", _foreseen),
@@ -254,5 +311,5 @@ _CONDITIONS: tuple[Row, ...] = (
     ),
     ("gusts", lambda f: None if f.gust is None else escape(str(f.gust))),
     ("seed", lambda f: None if f.seed is None else str(f.seed)),
-    ("bag", lambda f: f"<code>{escape(f.source.name)}</code>"),
+    ("file", lambda f: f"<code>{escape(f.source.name)}</code>" if f.source.name else None),
 )

@@ -15,13 +15,16 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgba
+from matplotlib.colors import to_rgb, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 from gtmr_monitor.report import look
 from gtmr_monitor.report.drawing import new_figure, save
 from gtmr_monitor.report.look import Flown, Line
+
+Array = NDArray[np.float64]
 
 _DASHES = {"solid": "-", "dash": "--", "dot": ":"}
 _LIMIT: dict[str, Any] = {"color": look.LIMIT, "linestyle": (0, (4, 2)), "linewidth": 1.2}
@@ -29,31 +32,104 @@ _LIMIT: dict[str, Any] = {"color": look.LIMIT, "linestyle": (0, (4, 2)), "linewi
 
 def trajectory(flown: Flown) -> Figure:
     """Draw the flights around the tower, in space and from above."""
-    flown = look.moved(flown)
-    figure = new_figure(9.0, 5.2)
-    grid = figure.add_gridspec(1, 2, width_ratios=(1.2, 1.0))
-    space = figure.add_subplot(grid[0], projection="3d")
+    flown = look.stacked(look.moved(flown))
+    figure = new_figure(9.0, 5.0)
+    grid = figure.add_gridspec(1, 2, width_ratios=(1.25, 1.0))
+    space = figure.add_subplot(grid[0], projection="3d", computed_zorder=False)
     above = figure.add_subplot(grid[1])
     first = flown[0][0]
     radius, d_min = first.tower.radius_m, first.tower.min_clearance_m
-    shell = look.cylinder(radius, look.heights(flown))
-    space.plot_surface(*shell, color=look.TOWER, alpha=0.45, linewidth=0)
+    height = look.heights(flown)
+    name = f"$d_\\mathrm{{min}}$ = {d_min:g} m"
     above.fill(*look.circle(radius), color=look.TOWER, label="tower")
-    label = f"$d_\\mathrm{{min}}$ = {d_min:g} m"
-    above.plot(*look.circle(radius + d_min), **_LIMIT | {"linewidth": 1.0}, label=label)
+    above.plot(*look.circle(radius + d_min), **_LIMIT | {"linewidth": 1.0}, label=name)
     reference = look.reference(flown)
-    space.plot(*reference.T, color=look.QUIET, linestyle=":", linewidth=1.0)
     above.plot(*reference.T[:2], color=look.QUIET, linestyle=":", label="reference")
+
+    azimuth = look.viewpoint(flown) - np.radians(_BESIDE_DEG)
+    size = _box(flown, radius + d_min, height)
+    seen_from = _direction(azimuth) * size
+    pens: list[tuple[Array, dict[str, Any]]] = [
+        (reference, {"color": look.QUIET, "linestyle": ":", "linewidth": 1.0})
+    ]
+    pens += [(flight.p, _pen(line)) for flight, line in flown]
+    for order, (points, pen) in enumerate(pens):
+        hidden = _is_behind(points, radius, height, seen_from)
+        seen = np.where(hidden[:, None], np.nan, points)
+        space.plot(*seen.T, **pen | {"zorder": 4.0 + 0.1 * order})
+        behind = np.where(hidden[:, None], points, np.nan)
+        space.plot(*behind.T, **pen | _BEHIND | {"zorder": 3.0 + 0.1 * order})
+    shell = look.cylinder(radius, height)
+    facing = np.cos(np.arctan2(shell[1], shell[0]) - azimuth - np.radians(50.0))
+    grey = np.array(to_rgb(look.TOWER)) * (0.98 + 0.16 * facing[..., None])
+    space.plot_surface(
+        *shell, facecolors=grey.clip(0.0, 1.0), shade=False, linewidth=0, zorder=2,
+        rcount=2, ccount=73, antialiased=False,
+    )  # fmt: skip
+    for z in height:
+        ring = look.circle(radius + d_min)
+        space.plot(*ring, np.full(ring.shape[1], z), **_LIMIT | {"linewidth": 0.8, "zorder": 2.5})
+        edge = look.circle(radius)
+        space.plot(*edge, np.full(edge.shape[1], z), color=look.QUIET, linewidth=0.8, zorder=2.5)
     for flight, line in flown:
-        space.plot(*flight.p.T, **_pen(line))
         above.plot(*flight.p.T[:2], **_pen(line), label=line.label)
+    space.set_proj_type("ortho")
     # A long climb would shrink a true-to-scale box to a needle: the height has its own scale.
-    space.set_box_aspect((1.0, 1.0, 1.0), zoom=0.86)
-    space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title="Trajectory")
-    space.view_init(elev=24.0, azim=-56.0)
+    space.set_box_aspect((1.0, 1.0, 1.0), zoom=0.92)
+    half = 0.5 * size
+    middle_m = height.mean()
+    space.set(
+        xlabel="x, east [m]", ylabel="y, north [m]", zlabel="z [m]",
+        title="In space; dotted behind the tower",
+        xlim=(-half[0], half[0]), ylim=(-half[1], half[1]),
+        zlim=(middle_m - half[2], middle_m + half[2]),
+    )  # fmt: skip
+    space.view_init(elev=_ELEVATION_DEG, azim=np.degrees(azimuth))
+    for axis in (space.xaxis, space.yaxis, space.zaxis):
+        axis.set_major_locator(MaxNLocator(4))
+        axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
     above.set(xlabel="x, east [m]", ylabel="y, north [m]", title="From above", aspect="equal")
-    _legend_below(figure, above)
+    _legend_below(figure, above, columns=6)
     return figure
+
+
+_BEHIND = {"linestyle": (0, (1.0, 1.6)), "linewidth": 1.0}
+"""How a path is drawn that the tower hides."""
+_ELEVATION_DEG, _BESIDE_DEG = 24.0, 15.0
+"""How the flight is looked at: from above, and from beside what is to be seen."""
+
+
+def _direction(azimuth: float) -> Array:
+    """Point to the viewer, in a box as long as wide and tall, shape (3,) [-]."""
+    elevation = np.radians(_ELEVATION_DEG)
+    level = np.cos(elevation)
+    return np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+
+
+def _box(flown: Flown, radius_m: float, height: Array) -> Array:
+    """Lengths of the edges of what is drawn [m], shape (3,)."""
+    reach_m = max(radius_m, *(np.abs(flight.p[:, :2]).max() for flight, _ in flown))
+    return np.array([2.1 * reach_m, 2.1 * reach_m, np.ptp(height)])
+
+
+def _is_behind(
+    points: Array, radius_m: float, height: Array, seen_from: Array
+) -> NDArray[np.bool_]:
+    """Say which points, shape (n, 3), the tower hides from a viewer far away in that direction.
+
+    It does where the line of sight meets its wall on the way, or its top.
+    """
+    level = seen_from[:2]
+    # |points + s level| = radius, of the two crossings with the wall that nearer to the viewer.
+    a, b = level @ level, points[:, :2] @ level
+    c = (points[:, :2] ** 2).sum(axis=1) - radius_m**2
+    root = np.sqrt(np.maximum(b**2 - a * c, 0.0))
+    enters, leaves = (-b - root) / a, (-b + root) / a
+    low, high = height
+    z_enters, z_leaves = (points[:, 2] + s * seen_from[2] for s in (enters, leaves))
+    passes = (np.minimum(z_enters, z_leaves) < high) & (np.maximum(z_enters, z_leaves) > low)
+    hidden: NDArray[np.bool_] = (b**2 > a * c) & (enters > 0.0) & passes
+    return hidden
 
 
 def residual(flown: Flown) -> Figure:
@@ -63,8 +139,8 @@ def residual(flown: Flown) -> Figure:
     moved = look.moved(flown)
     for flight, line in moved:
         over_time.plot(flight.t, flight.residual, **_pen(line), label=line.label)
-        for begin, end, colour, name in look.spans(flight):
-            over_time.axvspan(begin, end, color=colour, alpha=0.4, linewidth=0)
+        for begin, end, key, name in look.spans(flight):
+            over_time.axvspan(begin, end, color=look.LIGHT[key], alpha=0.4, linewidth=0)
             over_time.annotate(name, (begin, 0.02), xycoords=("data", "axes fraction"), fontsize=8)
         for at, mode in flight.modes[1:]:
             over_time.axvline(at, color=line.colour, linestyle=":", linewidth=1.0)
@@ -187,7 +263,7 @@ def rotors(flown: Flown) -> Figure:
         for rotor, speed in enumerate(flight.rotor_speed_hz.T):
             axes.plot(
                 flight.t_rotors, speed, linewidth=1.1, label=f"rotor {rotor}",
-                color=look.rotor_colour(rotor),
+                color=look.LIGHT[look.rotor_key(rotor)],
                 # Opposite rotors often turn alike: the second must not hide the first.
                 linestyle="-" if rotor < flight.rotor_speed_hz.shape[1] / 2 else (0, (3, 2)),
             )  # fmt: skip
@@ -234,7 +310,12 @@ def write_figures(flown: Flown, prefix: Path) -> list[Path]:
 
 
 def _pen(line: Line) -> dict[str, Any]:
-    return {"color": line.colour, "linestyle": _DASHES[line.dash]}
+    return {
+        "color": line.colour,
+        "linestyle": _DASHES[line.dash],
+        "linewidth": 0.7 * line.width_px,
+        "zorder": 3.0 - 0.1 * line.width_px,
+    }
 
 
 def _legend_below(figure: Figure, axes: Axes, columns: int = 5) -> None:

@@ -27,7 +27,7 @@ from rclpy.parameter import Parameter
 
 from gtmr_model import ConfigError, YamlModel
 from gtmr_model.yaml_file import read_yaml
-from gtmr_model.yaml_model import presets_of
+from gtmr_model.yaml_model import from_folder, presets_of
 from gtmr_msgs_py.contract import BASE_LINK, MAP, Frames
 from gtmr_msgs_py.node.declarations import Declaration, declarations
 
@@ -108,6 +108,8 @@ class ModelParameters(Generic[M]):
             if name in loaded.model_fields_set:
                 # If the file does not name it, it is the one that was read there.
                 named = written.get(name)
+                if isinstance(named, str) and chosen not in known:
+                    named = from_folder(Path(chosen).absolute().parent, named)
                 self._presets[name] = named if isinstance(named, str) else chosen
                 self._loaded[name, self._presets[name]] = getattr(loaded, name)
         return loaded.model_copy(update={base: chosen})

@@ -17,7 +17,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from gtmr_codegen.library import load_library
+from gtmr_codegen.library import load_generated
 from gtmr_model import N_ZETA
 from gtmr_nmpc import ocp
 from gtmr_nmpc.compiled import codegen
@@ -248,8 +248,12 @@ def _compiled_part(config: ControllerConfig) -> ControllerConfig:
 
 @lru_cache(maxsize=16)
 def _library(config: ControllerConfig) -> ctypes.CDLL:
-    sources = codegen.c_sources(config)
-    library = load_library("the controller", sources, codegen.flags(sources))
+    def make() -> tuple[dict[str, str], dict[str, tuple[str, ...]]]:
+        sources = codegen.c_sources(config)
+        return sources, codegen.flags(sources)
+
+    values = (config, codegen.GENERATED_FLAGS, codegen.WRITTEN_FLAGS)
+    library = load_generated("the controller", "gtmr_nmpc", values, make)
     library.gtmr_size.restype = library.gtmr_plan_length.restype = ctypes.c_size_t
     library.gtmr_create.restype = ctypes.c_void_p
     for name in (

@@ -10,11 +10,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
-
-from pydantic import BeforeValidator
+from typing import Annotated
 
 from gtmr_model import YamlModel
+from gtmr_model.yaml_model import named
 from gtmr_sim.worlds.motors import Motors
 from gtmr_sim.worlds.sensor import Odometry
 from gtmr_sim.worlds.wall import Wall
@@ -54,9 +53,5 @@ PAPER = World()
 """Eq. (3) alone: odometry is the truth, at once."""
 
 
-def _by_name(value: Any) -> Any:
-    return World.load("world", value) if isinstance(value, str) else value
-
-
-NamedWorld = Annotated[World, BeforeValidator(_by_name)]
+NamedWorld = Annotated[World, named("world", World.load)]
 """A world in a configuration: its fields, a preset's name, or the path of a YAML file."""

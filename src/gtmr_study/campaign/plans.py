@@ -30,8 +30,8 @@ class TrialPlan(YamlModel):
     kind: PlanKind = "random"
     """``random`` draws every trial anew; the others have a fixed list of points."""
     channels: tuple[str, ...] = ()
-    """Channels to vary: two for ``grid`` (left out: mass and thrust), any for ``one-at-a-time``
-    (left out: all); none for the others."""
+    """Channels to vary: two for ``grid``, any for ``one-at-a-time`` (left out: all); none for the
+    others."""
     levels: int = Field(5, ge=2, le=101)
     """How many values a varied channel takes, from one bound to the other."""
 
@@ -49,8 +49,11 @@ class TrialPlan(YamlModel):
     def _as_many_as_needed(self) -> Self:
         if self.channels and self.kind in ("random", "vertices"):
             raise ValueError(f"the plan {self.kind!r} varies all channels; leave channels out")
-        if self.channels and self.kind == "grid" and len(self.channels) != 2:
-            raise ValueError(f"a grid needs 2 channels, not {len(self.channels)}")
+        if self.kind == "grid" and len(self.channels) != 2:
+            raise ValueError(
+                f"a grid needs 2 channels, not {len(self.channels)}: name two of "
+                f"{', '.join(CHANNELS)}"
+            )
         return self
 
     def points(self, uncertainty: UncertaintySet, seed: int) -> Array | None:
@@ -67,7 +70,7 @@ class TrialPlan(YamlModel):
             case "one-at-a-time":
                 return _one_at_a_time(self.channels or CHANNELS, self.levels, uncertainty)
             case "grid":
-                return _grid(self.channels or ("mass", "thrust"), self.levels, uncertainty)
+                return _grid(self.channels, self.levels, uncertainty)
 
 
 def _one_at_a_time(channels: tuple[str, ...], levels: int, uncertainty: UncertaintySet) -> Array:

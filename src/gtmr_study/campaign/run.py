@@ -66,6 +66,8 @@ def fly_campaign(
         missing = [flight for flight in flights if flight not in file.done]
         if missing and client is None:
             client = stack.enter_context(cluster.local_workers(n_workers))
+        if on_progress is not None:
+            on_progress(len(file.done), len(flights))
         if client is not None:
             for rows in cluster.fly_on(client, study, missing, own):
                 file.append(rows)

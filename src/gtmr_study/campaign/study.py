@@ -11,15 +11,15 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 from typing_extensions import Self
 
 from gtmr_model import ConfigError, UncertaintySet, YamlModel
-from gtmr_model.yaml_model import presets_of
+from gtmr_model.yaml_model import named, presets_of
 from gtmr_nmpc import MODES, PAPER_MODES, ControllerConfig, Mode
 from gtmr_sim import GustConfig, Scenario, World
 from gtmr_sim.scenario import EffectNames, whole_steps
@@ -31,13 +31,7 @@ RANDOM_TRIALS = 500
 """Trials of a random plan that does not say how many, as in the paper."""
 
 
-def _by_name(value: Any) -> Any:
-    if not isinstance(value, str):
-        return value
-    return ControllerConfig.load("controller", value)
-
-
-NamedController = Annotated[ControllerConfig, BeforeValidator(_by_name)]
+NamedController = Annotated[ControllerConfig, named("controller", ControllerConfig.load)]
 """A controller in a study: its fields, a preset's name, or the path of a YAML file."""
 
 

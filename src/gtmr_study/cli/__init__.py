@@ -11,7 +11,6 @@
 import re
 import signal
 import sys
-from importlib.metadata import PackageNotFoundError, requires
 
 from gtmr_msgs_py.start.parent import end_with_parent
 
@@ -48,6 +47,9 @@ def _end(number: int, _: object) -> None:
 
 def _extra_with(module: str) -> str | None:
     """Name the optional part of this package that brings a module."""
+    # Only now: it takes as long to import as all else of this module.
+    from importlib.metadata import PackageNotFoundError, requires
+
     try:
         declared = requires("gtmr") or []
     except PackageNotFoundError:

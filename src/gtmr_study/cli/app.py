@@ -38,6 +38,10 @@ MODULES = {
 """Module of every command, beside this one; there ``export-c`` is ``export_c_command``."""
 
 
+SETTINGS = {"max_content_width": 100}
+"""Help is as wide as the terminal, up to so many columns."""
+
+
 class Commands(TyperGroup):
     """Loads the module of a command when it is called: all of them together take seconds."""
 
@@ -50,9 +54,15 @@ class Commands(TyperGroup):
         if cmd_name not in MODULES:
             return None
         module = import_module(f"gtmr_study.cli.{MODULES[cmd_name]}")
+        function = getattr(module, _function(cmd_name))
+        # Only now: tables take rich, which the list of commands does not need.
+        from gtmr_study.cli.tables import ExplainedCommand
+
         alone = typer.Typer(add_completion=False, rich_markup_mode=None)
-        alone.command(cmd_name)(getattr(module, _function(cmd_name)))
-        return typer.main.get_command(alone)
+        alone.command(cmd_name, cls=ExplainedCommand, context_settings=SETTINGS)(function)
+        command: Any = typer.main.get_command(alone)
+        command.words = getattr(function, "words", {})
+        return command
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write what each command does, as its source says."""
@@ -74,34 +84,66 @@ def _said_of(name: str) -> str:
 
 app = typer.Typer(
     cls=Commands,
-    help="Close-proximity tower inspection with a tilted multirotor: nominal and robust NMPC.",
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
+    context_settings=SETTINGS,
 )
+
+
+def _tell_version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        console.print(f"gtmr {version('gtmr')}", highlight=False)
+        raise typer.Exit
+
+
+@app.callback()
+def gtmr(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_tell_version, is_eager=True, help="Show the version and exit."
+        ),
+    ] = False,
+) -> None:
+    """Close-proximity tower inspection with a tilted multirotor: nominal and robust NMPC."""
 
 
 def report_command(
     paths: Annotated[
-        list[Path], typer.Argument(metavar="PATH...", help="Bags, or folders of campaigns.")
+        list[Path],
+        typer.Argument(metavar="PATH...", help="Bags, flights (.npz), or folders of campaigns."),
     ],
-    out: Annotated[Path, option("FILE.html", "The report; figures go beside it.")] = Path(
-        "report.html"
-    ),
+    out: Annotated[
+        Path, option("FILE.html", "The report; figures go beside it.", "report.html")
+    ] = Path("report.html"),
     vehicle: Annotated[
         str | None, option("NAME", "Of bags with several vehicles, only this one.")
     ] = None,
 ) -> None:
-    """Make one self-contained HTML report, and PNG figures, of bags or of campaigns."""
+    """Make one self-contained HTML report, and PNG figures, of flights or of campaigns."""
     from gtmr_study.campaign.trials_file import is_campaign
 
     require_new_file("--out", out)
     if any(is_campaign(path) for path in paths):
         if vehicle is not None:
             raise InputError(f"--vehicle = {vehicle!r}: allowed with bags, not with campaigns")
-        from gtmr_study.campaign.report import write_campaign_report
+        if not all(is_campaign(path) for path in paths):
+            raise InputError("PATH...: campaigns and flights in one report: give one kind")
+        from gtmr_study.campaign.report.page import write_campaign_report
 
         written = write_campaign_report(paths, out)
+    elif any(path.suffix == ".npz" for path in paths):
+        if vehicle is not None:
+            raise InputError(f"--vehicle = {vehicle!r}: allowed with bags, not with flights")
+        if not all(path.suffix == ".npz" for path in paths):
+            raise InputError("PATH...: bags and flights (.npz) in one report: give one kind")
+        from gtmr_sim import FlightLog
+        from gtmr_study.cli.fly import write_log_report
+
+        written = write_log_report([(FlightLog.load(path), path) for path in paths], out)
     else:
         from gtmr_monitor.bag.flight import read_flights
         from gtmr_monitor.report.page import write_report

@@ -10,11 +10,10 @@
 
 from typing import Annotated, Any
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 from rich.text import Text
 
 from gtmr_nmpc import ControllerConfig
+from gtmr_study.cli.tables import explains, new_table
 from gtmr_study.cli.terminal import JsonOption, console, option
 from gtmr_study.result_files import require_folder_of, write_json
 from gtmr_study.rivals.bench import (
@@ -27,12 +26,32 @@ from gtmr_study.rivals.bench import (
 )
 
 COLUMNS = ("median", "p99", "p99.9", "max")
+WORDS = {
+    "controller": "What is flown through, and below it which mode of the controller is timed.",
+    "nominal": "The clearance as it is, eq. (5).",
+    "frozen": "Mode robust, margins held within a step.",
+    "gradient": "Mode robust, margins as functions of the plan, as eq. (15) reads.",
+    "offset_free": "Mode offset_free: an observer, and margins of its loop.",
+    "solver": "Likewise which general solver plans.",
+    "median": "Half of the steps take less [ms].",
+    "p99": "99 of 100 steps take less [ms].",
+    "p99.9": "999 of 1000 steps take less [ms].",
+    "max": "The longest step [ms].",
+    "prepare": "Median of what is done before the state is known [ms].",
+    "feedback": "Median of what is done from the state to the command [ms].",
+    "ratio": "Median relative to that of the suite's nominal step.",
+    "cost gap": "Cost of the solver's plan relative to that of the best one, minus 1.",
+}
+"""What the columns are."""
 
 
+@explains(WORDS)
 def bench_command(
-    steps: Annotated[int, option("N", "Steps of the controller a situation.", min=100)] = 4000,
+    steps: Annotated[
+        int, option("N", "Steps of the controller a situation.", "4000", min=100)
+    ] = 4000,
     rival_steps: Annotated[
-        int, option("N", "Steps of general solvers a situation; 0: none.", min=0)
+        int, option("N", "Steps of general solvers a situation; 0: none.", "40", min=0)
     ] = 40,
     json: JsonOption = None,
 ) -> None:
@@ -40,14 +59,15 @@ def bench_command(
     require_folder_of("--json", json)
     result: dict[str, Any] = {"machine": machine(), "steps": steps, "controller": {}, "rivals": {}}
     situations = record_situations(steps)
-    table = _table(*COLUMNS, "prepare", "feedback", "ratio")
+    table = new_table("controller", *COLUMNS, "prepare", "feedback", "ratio")
     for situation in situations:
         figures = {name: time_controller(situation, m, t) for name, m, t in CONTROLLERS}
         result["controller"][situation.name] = figures
         nominal = figures["nominal"]["step"]["median"]
+        table.add_row(Text(situation.name))
         for name, phases in figures.items():
             table.add_row(
-                Text(f"{situation.name}: {name}"),
+                Text(f"  {name}"),
                 *(f"{phases['step'][column]:.3f}" for column in COLUMNS),
                 f"{phases['prepare']['median']:.3f}",
                 f"{phases['feedback']['median']:.3f}",
@@ -57,14 +77,15 @@ def bench_command(
     console.print("Step of the controller, called from Python [ms]", markup=False)
     console.print(table)
     if rival_steps:
-        rivals = _table("median", "max", "ratio", "cost gap")
+        rivals = new_table("solver", "median", "max", "ratio", "cost gap")
         contenders = make_rivals(ControllerConfig())
         for situation in situations:
             rival_figures = time_rivals(situation, rival_steps, contenders)
             result["rivals"][situation.name] = rival_figures
+            rivals.add_row(Text(situation.name))
             for name, figure in rival_figures.items():
                 rivals.add_row(
-                    Text(f"{situation.name}: {name}"),
+                    Text(f"  {name}"),
                     f"{figure['median']:.3f}",
                     f"{figure['max']:.3f}",
                     f"{figure['ratio']:.0f}",
@@ -73,10 +94,3 @@ def bench_command(
         console.print("Nominal step of general solvers [ms]", markup=False)
         console.print(rivals)
     write_json(json, result)
-
-
-def _table(*columns: str) -> Table:
-    table = Table("", box=SIMPLE_HEAD)
-    for column in columns:
-        table.add_column(column, justify="right")
-    return table

@@ -15,37 +15,60 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
-from gtmr_nmpc import MODES
-from gtmr_sim import World
-from gtmr_study.cli.fly import print_flights, require_duration
+from gtmr_model import Helix, Vehicle
+from gtmr_nmpc import MODES, ControllerConfig
+from gtmr_sim import GUST_KINDS, GUSTS, Scenario, World
+from gtmr_sim.flying.log import SLACK_TOLERANCE_M
+from gtmr_study.campaign.study import controller_for
+from gtmr_study.cli.fly import FLIGHT_ROWS, FLIGHT_WORDS, require_duration, scenario_for
 from gtmr_study.cli.replay import damage_told, tell_coverage
+from gtmr_study.cli.tables import explains, print_rows
 from gtmr_study.cli.terminal import (
+    ZETA_HELP,
+    ControllerOption,
     DurationOption,
     JsonOption,
+    VehicleOption,
     WorldOption,
+    ZetaNumbers,
     complain,
     console,
     needs_ros,
     option,
     progress,
     require_choice,
+    require_seed,
 )
 from gtmr_study.result_files import InputError, require_empty_folder, require_folder_of, write_json
 
 if TYPE_CHECKING:
+    from gtmr_monitor.flight import Flight
     from gtmr_study.ros.live import LiveView
 
 
+WIND_BIAS_N = (0.6, 0.4, 0.0)
+"""w_b of Fig. 1, world frame [N], in which the demo flies unless told otherwise."""
+
+
+@explains(FLIGHT_WORDS)
 def demo_command(
     duration: DurationOption = 50.0,
     modes: Annotated[
-        str, option("MODE,...", "Which modes to fly, one after the other.")
+        str, option("MODE,...", "Which modes to fly, one after the other.", ",".join(MODES))
     ] = ",".join(MODES),
+    seed: Annotated[int, option("K", "Seed of the gusts.", "0")] = 0,
+    zeta: Annotated[
+        ZetaNumbers | None, option("9 NUMBERS", ZETA_HELP, "a wind bias of 0.6, 0.4, 0 N")
+    ] = None,
+    gust: Annotated[str, option("|".join(GUST_KINDS), "Gusts.", "ou")] = "ou",
     world: WorldOption = None,
+    vehicle: VehicleOption = None,
+    controller: ControllerOption = None,
     out: Annotated[
-        Path | None, option("DIR", "Folder of bags and report; new or empty.  [bags/demo-*]")
+        Path | None, option("DIR", "Folder of bags and report; new or empty.", "bags/demo-*")
     ] = None,
     live: Annotated[
         bool, typer.Option("--live", help="Show the flights on a page in the browser.")
@@ -59,24 +82,44 @@ def demo_command(
         require_choice("--modes", mode, MODES)
     if len(set(chosen)) < len(chosen):
         raise InputError(f"--modes = {modes!r}: names a mode twice")
+    require_seed(seed)
+    require_choice("--gust", gust, GUSTS.names())
+    if controller is not None and ".py" in controller:
+        raise InputError(
+            f"--controller = {controller}: the demo flies the node of the suite; a controller of "
+            "your own flies with gtmr fly and gtmr campaign"
+        )
+    # All of it before anything is started.
     met = world if world is not None else "paper"
-    # Only to see whether it is one, before anything is started.
-    World.load("world", met)
+    loaded = World.load("world", met)
+    told = controller if controller is not None else controller_for(loaded)
+    config = ControllerConfig.load("controller", told)
+    if vehicle is not None:
+        config = config.model_copy(update={"vehicle": Vehicle.load("vehicle", vehicle)})
+    helix = Helix.required(config.helix)
+    true_zeta = zeta if zeta is not None else (*(0.0,) * 6, *WIND_BIAS_N)
+    scenarios = {
+        mode: scenario_for(config, mode, loaded, gust, seed, true_zeta) for mode in chosen
+    }
     folder = out if out is not None else Path("bags") / time.strftime("demo-%Y-%m-%d-%H-%M-%S")
     require_empty_folder("--out", folder)
     require_folder_of("--json", json)
     try:
-        from gtmr_study.ros.demo import DemoError, fly_in_ros
+        from gtmr_study.ros.demo import DemoError, InRos, fly_in_ros
     except ModuleNotFoundError as error:
         raise needs_ros("the demo", error) from None
     from gtmr_monitor.bag.flight import read_flight
     from gtmr_monitor.report.page import write_report
 
-    view = _live_view(duration, chosen) if live else None
+    view = _live_view(duration, chosen, scenarios[chosen[0]]) if live else None
+    tower = config.tower
     console.print(
-        "Flying a tilted hexarotor around a tower of 2 m diameter, 0.35 m from its surface, in a "
-        "steady wind with gusts. It must not come closer than 0.20 m. Three processes make up a "
-        "ROS 2 graph: simulator, controller and monitor."
+        f"Flying {config.vehicle.name} around a tower of {2.0 * tower.radius_m:g} m diameter, "
+        f"{helix.offset_m:g} m from its surface. It must not come closer than "
+        f"{tower.min_clearance_m:g} m. Three processes make up a ROS 2 graph: simulator, "
+        "controller and monitor.",
+        highlight=False,
+        markup=False,
     )
     results: dict[str, dict[str, Any]] = {}
     flights = []
@@ -89,7 +132,13 @@ def demo_command(
                 bar.update(task, completed=time_s, description=text)  # noqa: B023
 
             try:
-                bag = fly_in_ros(mode, duration, folder / mode, show, view, met)
+                bag = fly_in_ros(
+                    InRos(mode, told, met, config, scenarios[mode]),
+                    duration,
+                    folder / mode,
+                    show,
+                    view,
+                )
             except DemoError as error:
                 complain(error)
                 raise typer.Exit(1) from None
@@ -99,6 +148,7 @@ def demo_command(
         flights.append(flight)
         results[mode] = {
             **flight.residual_statistics,
+            **_tracking(flight),
             "solve_ms": flight.solve_statistics,
             "deadline_misses": flight.deadline_misses,
             "bag": str(bag),
@@ -108,7 +158,7 @@ def demo_command(
         }
         console.print(f"{mode}: flown {duration:g} s, recorded in {bag}")
     write_report(flights, folder / "report.html")
-    print_flights(results)
+    print_rows(FLIGHT_ROWS, results)
     console.print(
         f"Report:  {folder / 'report.html'} (open it in a browser)\n"
         f"Bags:    {', '.join(r['bag'] for r in results.values())} "
@@ -121,12 +171,26 @@ def demo_command(
         view.stay()
 
 
-def _live_view(duration: float, modes: list[str]) -> LiveView:
+def _tracking(flight: Flight) -> dict[str, Any]:
+    """Say how far a recorded flight was from its reference, and where plans gave way."""
+    off_m = flight.tower.clearance(flight.p) - flight.helix.clearance(flight.t, flight.tower)
+    slack = flight.margins.slack
+    return {
+        "radial_rms_m": float(np.sqrt(np.mean(off_m**2))),
+        "tracking_rms_m": float(np.sqrt(np.mean(flight.tracking_error**2))),
+        "max_slack_m": float(slack.max()) if slack.size else None,
+        "softened_steps": int((slack.max(axis=1) > SLACK_TOLERANCE_M).sum())
+        if slack.size
+        else None,
+    }
+
+
+def _live_view(duration: float, modes: list[str], scenario: Scenario | None = None) -> LiveView:
     """Serve the page of the live view, which needs viser."""
     try:
         from gtmr_study.ros.live import LiveView
     except ModuleNotFoundError as error:
         raise InputError(f"--live needs {error.name}: pip install 'gtmr[live]'") from None
-    view = LiveView(duration, modes)
+    view = LiveView(duration, modes, scenario)
     console.print(f"Live view: {view.page.url} (open it in a browser)")
     return view

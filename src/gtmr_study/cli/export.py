@@ -24,7 +24,7 @@ from gtmr_study.result_files import InputError, require_empty_folder
 def export_c_command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="New or empty folder.")],
     controller: Annotated[
-        str, option("NAME|YAML", "Preset or file under config/controller.")
+        str, option("NAME|YAML", "Controller: a preset or a file.", "default")
     ] = "default",
     vehicle: VehicleOption = None,
 ) -> None:

@@ -17,20 +17,17 @@ from threading import Event
 from typing import Annotated, Any
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-from rich.text import Text
 
 from gtmr_model import Vehicle
 from gtmr_monitor.bag.reader import DamagedBagWarning
 from gtmr_monitor.bag.vehicles import read_recording
 from gtmr_monitor.coverage import Coverage
 from gtmr_nmpc import MODES, ControllerConfig
+from gtmr_study.cli.tables import Row, explains, number, print_rows, words_of
 from gtmr_study.cli.terminal import (
     JsonOption,
     complain,
     console,
-    figures,
     needs_ros,
     option,
     progress,
@@ -49,24 +46,55 @@ RATES = (0.01, 100.0)
 MAX_WAIT_S = 3600.0
 """Longest wait for listeners [s]."""
 
+REPLAY_ROWS = (
+    Row(
+        "largest margin [m]",
+        "By how much the clearance was tightened at most.",
+        lambda r: _metres(r["largest_margin_m"]),
+    ),
+    Row(
+        "largest residual at plans' end [m]",
+        "The residual is s = d_min - clearance: above 0 is a violation. This is the largest that "
+        "plans foresee for where they end.",
+        lambda r: _metres(r["largest_foreseen_residual_m"]),
+    ),
+    Row(
+        "steps without a solution",
+        "In how many steps the solver gave up.",
+        lambda r: str(r.get("failed_steps", "-")),
+    ),
+    Row(
+        "solve time, median [ms]",
+        "Time that a controller step takes.",
+        lambda r: number(2, "solve_ms", "median")(r) if "solve_ms" in r else "-",
+    ),
+    Row(
+        "  p99 [ms]",
+        "99 of 100 steps take less.",
+        lambda r: number(2, "solve_ms", "p99")(r) if "solve_ms" in r else "-",
+    ),
+)
+"""What is told of a replay."""
+REPLAY_WORDS = words_of(REPLAY_ROWS) | {
+    "recorded": "What the controller told that flew.",
+    "replayed": "What the controller tells that was fed the recorded states now.",
+}
+
 BagArgument = Annotated[Path, typer.Argument(metavar="BAG", help="A bag folder or MCAP file.")]
 
 
+@explains(REPLAY_WORDS)
 def replay_command(
     bag: BagArgument,
-    mode: Annotated[
-        str | None, option("|".join(MODES), "Controller throughout.  [as recorded]")
-    ] = None,
-    odom: Annotated[str | None, option("TOPIC", "Odometry, where it is not named odom.")] = None,
-    rotors: Annotated[
-        str | None, option("TOPIC", "Rotor speeds, where not named rotor_states.")
-    ] = None,
+    mode: Annotated[str | None, option("|".join(MODES), "Mode throughout.", "as recorded")] = None,
+    odom: Annotated[str | None, option("TOPIC", "Odometry.", "odom")] = None,
+    rotors: Annotated[str | None, option("TOPIC", "Rotor speeds.", "rotor_states")] = None,
     controller: Annotated[
         str | None,
-        option("NAME|YAML", "Preset or file under config/controller.  [recorded parameters]"),
+        option("NAME|YAML", "Controller: a preset or a file.", "recorded parameters"),
     ] = None,
     vehicle: Annotated[
-        str | None, option("NAME|YAML", "Preset or file under config/vehicle.  [as recorded]")
+        str | None, option("NAME|YAML", "Vehicle: a preset or a file.", "as recorded")
     ] = None,
     report: Annotated[
         Path | None, option("FILE.html", "Compare margins and plans, recorded and replayed.")
@@ -87,7 +115,8 @@ def replay_command(
         recording = read_recording(bag, odom, rotors)
     tell_coverage(recording.name, recording.coverage)
     with progress() as bar:
-        task = bar.add_task("replay", total=None)
+        # Known once the bag is looked through; at most one step an odometry message.
+        task = bar.add_task("replay", total=len(recording.commands or recording.odometry))
         replayed = replay(
             recording,
             mode,  # type: ignore[arg-type]
@@ -110,9 +139,9 @@ def replay_command(
 
 def play_command(
     bag: BagArgument,
-    rate: Annotated[float, option("R", "How many times as fast as recorded.")] = 1.0,
+    rate: Annotated[float, option("R", "How many times as fast as recorded.", "1")] = 1.0,
     loop: Annotated[bool, typer.Option(help="Begin again at the end, until Ctrl-C.")] = False,
-    wait: Annotated[float, option("S", "How long to wait for listeners, at most [s].")] = 5.0,
+    wait: Annotated[float, option("S", "How long to wait for listeners, at most [s].", "5")] = 5.0,
     everything: Annotated[
         bool,
         typer.Option(
@@ -190,16 +219,7 @@ def tell_coverage(name: str, coverage: Coverage) -> None:
 
 
 def _print_result(result: dict[str, Any]) -> None:
-    table = Table("", "recorded", "replayed", box=SIMPLE_HEAD)
-    for name, key in (
-        ("largest margin [m]", "largest_margin_m"),
-        ("largest residual at plans' end [m]", "largest_foreseen_residual_m"),
-    ):
-        table.add_row(Text(name), *(_metres(result[who][key]) for who in ("recorded", "replayed")))
-    table.add_row(Text("steps without a solution"), "", str(result["replayed"]["failed_steps"]))
-    solve_times = figures("solve_ms", ("median", "p99"), 2)(result["replayed"])
-    table.add_row(Text("solve time median, p99 [ms]"), "", solve_times)
-    console.print(table)
+    print_rows(REPLAY_ROWS, {who: result[who] for who in ("recorded", "replayed")})
     if result["samples"]:
         console.print(
             f"{result['mode']}: {result['samples']} commands compared; they differ by at most "

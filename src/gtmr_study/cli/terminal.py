@@ -6,23 +6,25 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What the commands share: options, tables, progress, and what is wrong in one clear line."""
+"""What the commands share: options, progress, and what is wrong in one clear line."""
+
+from __future__ import annotations
 
 import errno
 import io
 import os
 import sys
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
-from rich.table import Table
-from rich.text import Text
 
 from gtmr_study.result_files import InputError
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, ProgressColumn
 
 BAD_INPUT = 2
 """Exit code of bad input."""
@@ -34,31 +36,48 @@ UsageError: type[Exception] = typer.BadParameter.__bases__[0]
 """What wrong options raise; from typer, since it may carry its own copy of click."""
 
 
-def option(metavar: str, text: str, **limits: int) -> Any:
-    """Describe an option of a command: what its value is called, and its help."""
-    return typer.Option(metavar=metavar, help=text, **limits)  # type: ignore[arg-type]
+MAX_SEED = 2**63 - 1
+"""Largest seed: a ROS parameter holds no larger number."""
+
+
+def option(metavar: str, text: str, default: str = "", **limits: int) -> Any:
+    """Describe an option of a command: what its value is called, its help, and its default.
+
+    The default is only said here; it may be more than a value, as ``one per processor``.
+    """
+    told = f"{text}  [default: {default}]" if default else text
+    return typer.Option(metavar=metavar, help=told, show_default=False, **limits)  # type: ignore[arg-type]
 
 
 JsonOption = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")
 ]
-DurationOption = Annotated[float, option("S", "Length of a flight [s].")]
-VehicleOption = Annotated[str | None, option("NAME|YAML", "Preset or file under config/vehicle.")]
+DurationOption = Annotated[float, option("S", "Length of a flight [s].", "50")]
+VehicleOption = Annotated[
+    str | None, option("NAME|YAML", "Vehicle: a preset or a file.", "the controller's")
+]
 WorldOption = Annotated[
-    str | None,
-    option("NAME|YAML", "What the vehicle meets: a preset or file under config/world.  [paper]"),
+    str | None, option("NAME|YAML", "What the vehicle meets: a preset or a file.", "paper")
 ]
 DRefOption = Annotated[
-    float | None, option("M", "Distance of the helix from the tower's surface [m].  [0.35]")
+    float | None,
+    option("M", "Distance of the helix from the tower's surface [m].", "the controller's"),
+]
+ZetaNumbers = tuple[float, float, float, float, float, float, float, float, float]
+ZETA_HELP = "True mismatch: mass, J_x, J_y, J_z, thrust, drag [-], wind bias x, y, z [N]."
+ControllerOption = Annotated[
+    str | None, option("NAME|YAML", "Controller: a preset or a file.", "that of the world")
 ]
 CONTROLLER_OR_OWN = option(
     "NAME|YAML|FILE.py:CLASS",
-    "Preset or file under config/controller, or a controller of your own.",
+    "Controller: a preset, a file, or a class of your own.",
+    "that of the world",
 )
 
-console = Console()
+# A path or a value may hold what stands for a picture, as :A: does.
+console = Console(emoji=False)
 """For results and progress."""
-_errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
+_errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
 
 def complain(reason: object) -> None:
@@ -69,25 +88,14 @@ def complain(reason: object) -> None:
     _errors.print(f"gtmr: {printable(str(reason))}")
 
 
-def print_columns(
-    table: Table, rows: dict[str, Callable[[Any], str]], results: Mapping[str, Any]
-) -> None:
-    """Print results beside each other, one column each, and what is said of them a row each."""
-    for name, cell in rows.items():
-        table.add_row(Text(name), *(cell(result) for result in results.values()))
-    console.print(table)
-
-
-def figures(key: str, names: tuple[str, ...], places: int) -> Callable[[Any], str]:
-    """Say how some figures of one part of a result are written, to so many places."""
-    return lambda result: ", ".join(f"{result[key][name]:.{places}f}" for name in names)
-
-
 def progress(amount: ProgressColumn | None = None) -> Progress:
     """Make a progress bar that shows on a terminal only, and is gone when the work is done.
 
     It tells the amount done in percent unless another column is given.
     """
+    # Only now, as the help does without.
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -120,8 +128,9 @@ def exit_code_of(command: Callable[[], Any]) -> int:
     except Exception as error:
         from gtmr_model import ConfigError
         from gtmr_monitor.bag.format import BagError
+        from gtmr_sim import FlightFileError
 
-        if isinstance(error, (ConfigError, InputError, BagError)):
+        if isinstance(error, (ConfigError, InputError, BagError, FlightFileError)):
             complain(error)
             return BAD_INPUT
         if not isinstance(error, OSError) or error.filename is None:
@@ -131,6 +140,12 @@ def exit_code_of(command: Callable[[], Any]) -> int:
     if code == INTERRUPTED:
         complain("interrupted")
     return code
+
+
+def require_seed(seed: int | None, most: int = MAX_SEED) -> None:
+    """Refuse a seed that is none; None is one that is left out."""
+    if seed is not None and not 0 <= seed <= most:
+        raise InputError(f"--seed = {seed}: allowed is 0 to {most}")
 
 
 def require_choice(option: str, value: str, allowed: Collection[str]) -> None:

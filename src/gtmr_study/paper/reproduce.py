@@ -18,6 +18,7 @@ import numpy as np
 
 from gtmr_model import N_ZETA, Helix
 from gtmr_model.dynamics import ATTITUDE, POSITION, YAW
+from gtmr_monitor.flight import Flight
 from gtmr_monitor.report.drawing import save
 from gtmr_nmpc import PAPER_MODES, Controller, Mode
 from gtmr_sim import FlightLog, GustConfig, fly
@@ -30,7 +31,8 @@ from gtmr_study.paper import first_order
 from gtmr_study.paper.claims import FIG_1_ZETA, PAPER, TRIALS, deviations, distances
 from gtmr_study.paper.claims_table import claims, claims_markdown
 from gtmr_study.paper.margin_budget import alpha_by_helix_speed, hoelder_ratio
-from gtmr_study.paper.report import sensitivity_markdown, write_page
+from gtmr_study.paper.report.page import write_page
+from gtmr_study.paper.report.tables import sensitivity_markdown
 from gtmr_study.paper.variants import fly_variants, variants
 from gtmr_study.result_files import write_json
 
@@ -129,7 +131,8 @@ def reproduce(
     for name, draw in drawn.items():
         save(draw, folder / name)
     found_claims = claims(study, results)
-    write_page(folder / REPORT_FILE, Campaign.read(folder), found_claims, results, drawn)
+    flights = [_as_flight(study, mode, log) for mode, log in logs.items()]
+    write_page(folder / REPORT_FILE, Campaign.read(folder), found_claims, results, flights)
     (folder / CLAIMS_FILE).write_text(claims_markdown({"ours": found_claims}), encoding="utf-8")
     (folder / SENSITIVITY_FILE).write_text(sensitivity_markdown(results), encoding="utf-8")
     return results
@@ -140,6 +143,22 @@ def _flight(study: Study, mode: Mode, **world: Any) -> FlightLog:
     scenario = study.scenario(0).model_copy(update=world)
     controller = Controller(study.controller, mode)
     return fly(scenario, controller, study.duration_s, study.controller.sampling_time_s)
+
+
+def _as_flight(study: Study, mode: str, log: FlightLog) -> Flight:
+    """Make what reports draw of a flight."""
+    config = study.controller
+    return Flight.from_rows(
+        vars(log),
+        name=mode,
+        mode=mode,
+        tower=config.tower,
+        helix=config.helix,
+        vehicle=config.vehicle,
+        gust=study.gust.kind,
+        seed=study.seed,
+        sampling_time_s=config.sampling_time_s,
+    )
 
 
 def _fig_1_figures(study: Study, log: FlightLog) -> dict[str, float]:

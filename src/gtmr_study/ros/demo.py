@@ -15,29 +15,30 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import rclpy
+import yaml
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Range
 
+from gtmr_model import YamlModel
+from gtmr_model.yaml_model import presets_of
 from gtmr_msgs_py import topics
 from gtmr_msgs_py.start.environment import ros_environment
 from gtmr_msgs_py.wire import stamps
-from gtmr_sim import World
-from gtmr_study.campaign.study import controller_for
+from gtmr_nmpc import ControllerConfig
+from gtmr_sim import Scenario
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-WIND_BIAS_N = (0.6, 0.4, 0.0)
-"""w_b of Fig. 1, world frame [N]."""
 STOP_TIMEOUT_S = 20.0
 """How long a node may take to end after SIGINT [s]."""
 STALL_TIMEOUT_S = 30.0
@@ -61,18 +62,33 @@ class DemoError(RuntimeError):
     """A node failed, or the flight does not go on; the message says where its log is."""
 
 
+@dataclass(frozen=True)
+class InRos:
+    """What is flown, by nodes that take it from their parameters."""
+
+    mode: str
+    """Of the controller."""
+    controller: str
+    """A preset's name, or the path of a YAML file: what the controller node reads."""
+    world: str
+    """Likewise what the simulator meets."""
+    config: ControllerConfig
+    """The controller, perhaps of another vehicle than its file says."""
+    scenario: Scenario
+    """The plant's side; what of it is not the paper's is told to the simulator."""
+
+
 def fly_in_ros(
-    mode: str,
+    flown: InRos,
     duration_s: float,
     folder: Path,
     on_progress: OnProgress,
     onlooker: Onlooker | None = None,
-    world: str = "paper",
 ) -> Path:
     """Fly the helix once, in real time where the machine keeps up, with one process a node.
 
-    The world is a preset's name or the path of a YAML file. The folder is new or empty, and
-    receives the bag and a log of each node; ``on_progress`` is called while flying.
+    The folder is new or empty, and receives the bag and a log of each node, and the vehicle where
+    it is no preset; ``on_progress`` is called while flying.
 
     Raises DemoError if a node ends with an error, or simulated time stands still.
     """
@@ -80,23 +96,56 @@ def fly_in_ros(
     # Another graph on this machine must not hear this one, nor the other way round.
     domain_id = 1 + os.getpid() % 100
     bag = folder / "bag"
-    zeta = ", ".join(str(float(value)) for value in (*(0.0,) * 6, *WIND_BIAS_N))
+    scenario, vehicle = flown.scenario, _vehicle(flown.scenario, folder)
+    tower = _parameters("tower", scenario.tower)
     with nodes(domain_id, folder) as start:
-        start("gtmr_monitor.node", bag=str(bag))
-        # A world that has one is flown with the controller that knows of it.
-        controller = controller_for(World.load("world", world))
-        start("gtmr_nmpc.node", mode=mode, recorders="1", controller=controller)
-        # In lockstep the flight is the same on a busy machine, only slower.
+        start("gtmr_monitor.node", {"bag": str(bag), **tower})
+        nmpc = {"mode": flown.mode, "controller": flown.controller, "vehicle": vehicle}
+        start("gtmr_nmpc.node", {**nmpc, "recorders": "1"})
         sim = start(
             "gtmr_sim.node",
-            zeta=f"[{zeta}]",
-            world=world,
-            duration_s=str(float(duration_s)),
-            recorders="1",
-            lockstep="true",
+            {
+                "vehicle": vehicle,
+                "world": flown.world,
+                "zeta": _text(scenario.zeta),
+                "seed": str(scenario.seed),
+                "gust.kind": scenario.gust.kind,
+                "gust.sequence": _text(scenario.gust.sequence),
+                "sampling_time_s": _text(flown.config.sampling_time_s),
+                **tower,
+                **_parameters("helix", scenario.helix),
+                **_parameters("uncertainty", scenario.uncertainty),
+                "duration_s": _text(float(duration_s)),
+                "recorders": "1",
+                # In lockstep the flight is the same on a busy machine, only slower.
+                "lockstep": "true",
+            },
         )
-        watch(domain_id, mode, sim, on_progress, onlooker)
+        watch(domain_id, flown.mode, sim, on_progress, onlooker)
     return bag
+
+
+def _vehicle(scenario: Scenario, folder: Path) -> str:
+    """Name a preset or a file of the vehicle, written if need be: nodes take no other."""
+    vehicle = scenario.vehicle
+    for name in presets_of("vehicle"):
+        if type(vehicle).preset("vehicle", name) == vehicle:
+            return name
+    path = folder.absolute() / "vehicle.yaml"
+    path.write_text(yaml.safe_dump(vehicle.model_dump(mode="json"), sort_keys=False))
+    return str(path)
+
+
+def _parameters(name: str, model: YamlModel) -> dict[str, str]:
+    """Make parameters of a model of numbers, tuples of them, and texts."""
+    return {f"{name}.{field}": _text(value) for field, value in model.model_dump().items()}
+
+
+def _text(value: object) -> str:
+    """Write a value as the command line of a node takes it."""
+    if isinstance(value, (tuple, list)):
+        return f"[{', '.join(_text(each) for each in value)}]"
+    return repr(value) if isinstance(value, float) else str(value)
 
 
 @dataclass
@@ -131,7 +180,7 @@ def nodes(domain_id: int, folder: Path) -> Iterator[Callable[..., list[NodeProce
     started: list[NodeProcess] = []
     environment = ros_environment(domain_id)
 
-    def start(module: str, **parameters: str) -> list[NodeProcess]:
+    def start(module: str, parameters: Mapping[str, str]) -> list[NodeProcess]:
         name = module.partition(".")[0]
         log = folder / f"{name}.log"
         assigned = [f"{key}:={value}" for key, value in parameters.items()]

@@ -18,26 +18,30 @@ from gtmr_study.campaign.study import controller_for
 from gtmr_study.cli.campaigns.campaign import WorkersOption, reported_progress
 from gtmr_study.cli.fly import at_distance
 from gtmr_study.cli.terminal import (
+    ControllerOption,
     DRefOption,
     JsonOption,
     WorldOption,
     console,
     option,
     require_choice,
+    require_seed,
 )
 from gtmr_study.result_files import InputError, require_folder, require_folder_of, write_json
+
+MAX_ATTACK_SEED = 2**32 - 1
 
 
 def attack_command(
     out: Annotated[Path, option("DIR", "Folder of a search: new, empty, or to go on with.")],
-    mode: Annotated[str, option("|".join(MODES), "Which mode to attack.")] = "offset_free",
+    mode: Annotated[
+        str, option("|".join(MODES), "Which mode to attack.", "offset_free")
+    ] = "offset_free",
     world: WorldOption = None,
     d_ref: DRefOption = None,
-    flights: Annotated[int, option("N", "Flights in all, of 8 s each.", min=1)] = 1000,
-    seed: Annotated[int, option("K", "Seed of the search.")] = 0,
-    controller: Annotated[
-        str | None, option("NAME|YAML", "Preset or file under config/controller.")
-    ] = None,
+    flights: Annotated[int, option("N", "Flights in all, of 8 s each.", "1000", min=1)] = 1000,
+    seed: Annotated[int, option("K", "Seed of the search.", "0")] = 0,
+    controller: ControllerOption = None,
     workers: WorkersOption = None,
     json: JsonOption = None,
 ) -> None:
@@ -45,8 +49,7 @@ def attack_command(
     require_folder("--out", out)
     require_folder_of("--json", json)
     require_choice("--mode", mode, MODES)
-    if not 0 <= seed < 2**32:
-        raise InputError(f"--seed = {seed}: allowed is 0 to {2**32 - 1}")
+    require_seed(seed, MAX_ATTACK_SEED)
     try:
         from gtmr_study.attack.search import attack
         from gtmr_study.attack.space import Target
@@ -57,6 +60,7 @@ def attack_command(
     config = at_distance(config, d_ref)
     target = Target.parse({"mode": mode, "controller": config, "world": met}, "attack")
     with reported_progress() as show:
+        show("flights", 0, flights)
         result = attack(target, flights, seed, out, workers, partial(show, "flights"))
     result = {"mode": mode, "world": world or "paper", **result}
     console.print(

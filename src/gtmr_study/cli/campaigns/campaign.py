@@ -16,12 +16,13 @@ from typing import Annotated, Any
 
 import typer
 from rich.progress import MofNCompleteColumn, TaskID
-from rich.table import Table
 
+from gtmr_model import CHANNELS
 from gtmr_sim import GUST_KINDS
 from gtmr_study.campaign.plans import PLAN_KINDS
 from gtmr_study.campaign.study import Study
 from gtmr_study.cli.fly import at_distance
+from gtmr_study.cli.tables import MODE_WORDS, Row, explains, number, print_rows, words_of
 from gtmr_study.cli.terminal import (
     CONTROLLER_OR_OWN,
     DRefOption,
@@ -30,10 +31,9 @@ from gtmr_study.cli.terminal import (
     WorldOption,
     complain,
     console,
-    figures,
     option,
-    print_columns,
     progress,
+    require_seed,
 )
 from gtmr_study.own_controller import OwnController
 from gtmr_study.result_files import InputError, require_folder, require_folder_of, write_json
@@ -41,32 +41,95 @@ from gtmr_study.result_files import InputError, require_folder, require_folder_o
 PAPER_SCENARIO = "paper"
 """Preset of the paper's study."""
 
-SeedOption = Annotated[int | None, option("K", "Seed.  [0]")]
+SUMMARY_ROWS = (
+    Row(
+        "trials with violation",
+        "In how many trials the clearance was ever below d_min, of how many.",
+        lambda s: f"{s['violations']}/{s['trials']}",
+    ),
+    Row(
+        "least clearance [m]",
+        "Least distance of the vehicle's centre from the tower's surface in any trial, at the "
+        "controller's sampling times.",
+        number(3, "min_clearance_m"),
+    ),
+    Row(
+        "  of every plant step [m]",
+        "The same at every step of the simulation, which are finer.",
+        number(3, "min_clearance_any_time_m"),
+    ),
+    Row(
+        "median clearance [m]",
+        "Half of all instants of all trials were closer.",
+        number(3, "median_clearance_m"),
+    ),
+    Row(
+        "residual, largest [m]",
+        "The residual is s = d_min - clearance: above 0 is a violation.",
+        number(3, "residual_m", "max"),
+    ),
+    Row(
+        "  upper quartile [m]",
+        "Three quarters of all instants were below this.",
+        number(3, "residual_m", "q3"),
+    ),
+    Row(
+        "  median [m]", "Half of all instants were below this.", number(3, "residual_m", "median")
+    ),
+    Row(
+        "  lower quartile [m]",
+        "A quarter of all instants was below this.",
+        number(3, "residual_m", "q1"),
+    ),
+    Row(
+        "  smallest [m]",
+        "Farthest from the tower.",
+        number(3, "residual_m", "min"),
+    ),
+    Row(
+        "tracking error, radial [m]",
+        "Root mean square of the distance from the reference, towards the tower or away from it.",
+        number(3, "radial_rms_m"),
+    ),
+    Row(
+        "solve time, mean [ms]",
+        "Time that a controller step takes, with as many flights at once as there are workers.",
+        number(2, "solve_ms", "mean"),
+    ),
+    Row("  p99 [ms]", "99 of 100 steps take less.", number(2, "solve_ms", "p99")),
+)
+"""What is told of a campaign."""
+SUMMARY_WORDS = words_of(SUMMARY_ROWS) | MODE_WORDS
+
+SeedOption = Annotated[int | None, option("K", "Seed.", "0")]
 WorkersOption = Annotated[
-    int | None, option("W", "Processes on this machine.  [one per processor]", min=1)
+    int | None, option("W", "Processes on this machine.", "one per processor", min=1)
 ]
 SchedulerOption = Annotated[
     str | None, option("ADDRESS", "A running Dask scheduler, as tcp://host:8786.")
 ]
 
 
+@explains(SUMMARY_WORDS)
 def campaign_command(
     out: Annotated[
         Path,
         option("DIR", "Folder of results: new, empty, or of the same campaign to go on with."),
     ],
     trials: Annotated[
-        int | None, option("N", "Trials.  [500, or every point of the plan once]")
+        int | None, option("N", "Trials.", "500, or every point of the plan once")
     ] = None,
     seed: SeedOption = None,
-    modes: Annotated[str | None, option("MODE,...", "Which modes fly.  [nominal,robust]")] = None,
-    duration: Annotated[float | None, option("S", "Length of a flight [s].  [50]")] = None,
-    plan: Annotated[str | None, option("|".join(PLAN_KINDS), "Mismatches.  [random]")] = None,
-    channels: Annotated[
-        str | None, option("A,B", "Channels that a grid or one-at-a-time varies.")
+    modes: Annotated[str | None, option("MODE,...", "Which modes fly.", "nominal,robust")] = None,
+    duration: Annotated[float | None, option("S", "Length of a flight [s].", "50")] = None,
+    plan: Annotated[
+        str | None, option("|".join(PLAN_KINDS), "True mismatches to fly.", "random")
     ] = None,
-    levels: Annotated[int | None, option("L", "Values of a varied channel.  [5]")] = None,
-    gust: Annotated[str | None, option("|".join(GUST_KINDS), "Gusts.  [ou]")] = None,
+    channels: Annotated[
+        str | None, option("A,B", "Channels to vary: two for a grid, any for one-at-a-time.")
+    ] = None,
+    levels: Annotated[int | None, option("L", "Values of a varied channel.", "5")] = None,
+    gust: Annotated[str | None, option("|".join(GUST_KINDS), "Gusts.", "ou")] = None,
     world: WorldOption = None,
     d_ref: DRefOption = None,
     controller: Annotated[str | None, CONTROLLER_OR_OWN] = None,
@@ -74,15 +137,16 @@ def campaign_command(
         str | None,
         option(
             "NAME|YAML",
-            "The study as a file, or a preset under config/scenario; options win over it.",
+            "The study: a preset or a file; options win over it.",
         ),
     ] = None,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Fly a Monte-Carlo campaign on Dask; killed and started again, it goes on."""
+    """Fly a Monte-Carlo campaign on Dask; started again after it was ended, it goes on."""
     _require_one(workers, scheduler)
+    require_seed(seed)
     require_folder("--out", out)
     require_folder_of("--json", json)
     own = None if controller is None else OwnController.named("--controller", controller)
@@ -90,6 +154,10 @@ def campaign_command(
         raise InputError(f"--modes = {modes}: {own.name} has no modes; leave it out")
     study = Study() if scenario is None else Study.load("scenario", scenario)
     varied = None if channels is None else channels.split(",")
+    if plan == "grid" and varied is None and len(study.plan.channels) != 2:
+        raise InputError(
+            f"--plan = grid: needs --channels A,B as well, two of {', '.join(CHANNELS)}"
+        )
     study = with_options(
         study,
         trials=trials,
@@ -118,6 +186,7 @@ def campaign_command(
     write_json(json, summary)
 
 
+@explains(SUMMARY_WORDS)
 def reproduce_command(
     out: Annotated[
         Path,
@@ -128,7 +197,7 @@ def reproduce_command(
     ] = False,
     seed: SeedOption = None,
     scenario: Annotated[
-        str, option("NAME|YAML", "Preset or file under config/scenario.")
+        str, option("NAME|YAML", "The study: a preset or a file.", PAPER_SCENARIO)
     ] = PAPER_SCENARIO,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
@@ -136,6 +205,7 @@ def reproduce_command(
 ) -> None:
     """Reproduce the paper: 500 trials a mode, Table II, Fig. 1 and Fig. 2, and a report."""
     _require_one(workers, scheduler)
+    require_seed(seed)
     require_folder("--out", out)
     require_folder_of("--json", json)
     from gtmr_study.paper.reproduce import FULL, QUICK, REPORT_FILE, reproduce
@@ -159,24 +229,25 @@ def reproduce_command(
 def calibrate_command(
     out: Annotated[Path, option("DIR", "Folder of a search: new, empty, or to go on with.")],
     target: Annotated[
-        str, option("nominal|both", "Which rows of the paper to come close to.")
+        str, option("nominal|both", "Which rows of the paper to come close to.", "nominal")
     ] = "nominal",
     sets: Annotated[
         int | None,
         option(
             "N",
-            "Sets of values in all, the shipped presets first.  [120, or 60 for both: some "
-            "twelve minutes on two cores]",
+            "Sets of values in all, the shipped presets first.",
+            "120, or 60 for both: some twelve minutes on two cores",
             min=1,
         ),
     ] = None,
-    trials: Annotated[int, option("N", "Trials of a set.", min=1)] = 32,
+    trials: Annotated[int, option("N", "Trials of a set.", "32", min=1)] = 32,
     duration: DurationOption = 50.0,
-    seed: Annotated[int, option("K", "Seed of trials and search.")] = 0,
+    seed: Annotated[int, option("K", "Seed of trials and search.", "0")] = 0,
     workers: WorkersOption = None,
     json: JsonOption = None,
 ) -> None:
     """Search what the paper leaves out for what comes closest to its results."""
+    require_seed(seed)
     require_folder("--out", out)
     require_folder_of("--json", json)
     try:
@@ -188,6 +259,7 @@ def calibrate_command(
     study = with_options(Study(), trials=trials, seed=seed, duration_s=duration)
     number = sets if sets is not None else SETS[target]
     with reported_progress() as show:
+        show("sets", 0, number)
         result = calibrate(study, target, number, out, workers, partial(show, "sets"))
     for name, value in result["parameters"].items():
         console.print(f"{name}: {value:.4g}")
@@ -222,16 +294,7 @@ def with_options(study: Study, **changes: Any) -> Study:
 def print_summary(summary: dict[str, Any]) -> None:
     """Print the figures of a campaign, one column a mode."""
     flown = {mode: s for mode, s in summary.items() if s["trials"]}
-    rows = {
-        "trials with violation": lambda s: f"{s['violations']}/{s['trials']}",
-        "least clearance [m]": lambda s: f"{s['min_clearance_m']:.3f}",
-        "  of every plant step [m]": lambda s: f"{s['min_clearance_any_time_m']:.3f}",
-        "median clearance [m]": lambda s: f"{s['median_clearance_m']:.3f}",
-        "residual q1, median, q3 [m]": figures("residual_m", ("q1", "median", "q3"), 3),
-        "residual min, max [m]": figures("residual_m", ("min", "max"), 3),
-        "solve time mean, p99 [ms]": figures("solve_ms", ("mean", "p99"), 2),
-    }
-    print_columns(Table("", *flown), rows, flown)
+    print_rows(SUMMARY_ROWS, flown)
     for mode, s in summary.items():
         if s["errors"]:
             complain(f"{mode}: {s['errors']} trials raised; their rows say why")
@@ -251,7 +314,7 @@ def reported_progress() -> Iterator[Callable[[str, int, int], None]]:
 
             def show(what: str, done: int, total: int) -> None:
                 if what not in bars:
-                    bars[what] = bar.add_task(what)
+                    bars[what] = bar.add_task(what, total=total, completed=done)
                 bar.update(bars[what], completed=done, total=total)
 
             yield show

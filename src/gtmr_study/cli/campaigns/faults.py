@@ -13,10 +13,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 from rich.text import Text
 
+from gtmr_study.cli.tables import explains, new_table
 from gtmr_study.cli.terminal import (
     JsonOption,
     complain,
@@ -31,6 +30,17 @@ if TYPE_CHECKING:
     from gtmr_study.faults.fault import Fault
 
 
+WORDS = {
+    "fault": "What is done wrong; its name runs it alone.",
+    "promise": "What the suite must do all the same.",
+    "held": "In how many tries the promise was kept.",
+    "95 %": "Wilson interval of the share held: it is within, with a confidence of 95 %.",
+    "worst clearance": "Least distance of the vehicle's centre from the tower in any try.",
+    "recovery": "Longest time until all was well again.",
+}
+"""What the columns are."""
+
+
 def catalogue() -> dict[str, Fault]:
     """Give every fault by name: in process, on files, and between nodes."""
     from gtmr_study.faults import catalogue as without_ros
@@ -43,9 +53,10 @@ def catalogue() -> dict[str, Fault]:
     return without_ros.faults() | {fault.name: fault for fault in with_ros}
 
 
+@explains(WORDS)
 def faults_command(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[FAULT...]", help="Only these.  [all]")
+        list[str] | None, typer.Argument(metavar="[FAULT...]", help="Only these.  [default: all]")
     ] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="Few tries of each, in about a minute.")
@@ -71,7 +82,10 @@ def faults_command(
 
         rows = try_faults(catalogue, chosen, quick, show)
     write_json(json, rows)
-    table = Table(*TITLES, box=SIMPLE_HEAD)
+    table = new_table(*TITLES)
+    # The name is what one types; the promise is a sentence, no figure.
+    table.columns[0].no_wrap = True
+    table.columns[1].justify = "left"
     for row in rows:
         table.add_row(*map(Text, cells(row)))
     console.print(table)

@@ -9,22 +9,27 @@
 """The report of campaigns: one HTML page that needs nothing else."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
-
-from gtmr_monitor.report.drawing import inline_svg, save
-from gtmr_monitor.report.html import page, signed, table
-from gtmr_study.campaign.figures import Campaign, figures_of, mode_colour, why_no_channels
+from gtmr_monitor.report.charts import charts_html
+from gtmr_monitor.report.drawing import save
+from gtmr_monitor.report.html import Card, cards, page, signed, table, verdict
+from gtmr_monitor.report.look import mode_key, themed
+from gtmr_study.campaign.figures import Campaign, figures_of, why_no_channels
+from gtmr_study.campaign.report.charts import all_charts
+from gtmr_study.campaign.report.worst import LISTED, WorstTrial, write_worst
 
 CAPTIONS = {
     "residual": "s = d<sub>min</sub> − d<sub>T</sub>, pooled over all instants of all trials; "
     "below the dashed line the clearance constraint holds. Boxes show quartiles, whiskers the "
     "extremes.",
-    "least-clearance": "Each trial counts with the least clearance of its flight.",
-    "violations": "A trial counts if any instant violates the clearance constraint.",
+    "least-clearance": "Each trial counts with the least clearance of its flight; point at a step "
+    "to see which trial it is.",
+    "violations": "A trial counts if any instant violates the clearance constraint; the interval "
+    "is Wilson's, of 95 %.",
     "channels": "How much of the variance of the least clearance is explained by one channel of "
     "the true mismatch alone, with 95 % intervals. What is missing to 100 % is the interplay of "
     "channels, and gusts.",
@@ -37,22 +42,39 @@ Value = Callable[[dict[str, Any]], str]
 
 
 def write_campaign_report(folders: Sequence[Path], out_html: Path) -> list[Path]:
-    """Write a report on campaigns, one below the other; give its file, then its figures' files."""
+    """Write a report on campaigns, one below the other; give its file, then its figures' files.
+
+    Beside it comes a folder ``<stem>-worst`` with what flies the worst trials again.
+    """
     campaigns = [Campaign.read(folder) for folder in folders]
     names = ", ".join(campaign.name for campaign in campaigns)
-    body = "\n".join(campaign_section(campaign) for campaign in campaigns)
-    out_html.write_text(page(f"Campaign {names}", body), encoding="utf-8")
+    # One campaign's files need no number.
+    prefixes = [
+        out_html.stem if len(campaigns) == 1 else f"{out_html.stem}-{number}"
+        for number in range(1, len(campaigns) + 1)
+    ]
+    body = "\n".join(
+        campaign_section(
+            campaign,
+            "Results" if len(campaigns) == 1 else campaign.name,
+            out_html.with_name(f"{prefix}-worst"),
+            "" if len(campaigns) == 1 else f"of-{number}-",
+        )
+        for number, (prefix, campaign) in enumerate(zip(prefixes, campaigns, strict=True), start=1)
+    )
+    out_html.write_text(page(f"Campaign {names}", body, charts=True), encoding="utf-8")
     paths = [out_html]
-    for number, campaign in enumerate(campaigns, start=1):
-        # One campaign's figures need no number.
-        prefix = out_html.stem if len(campaigns) == 1 else f"{out_html.stem}-{number}"
+    for prefix, campaign in zip(prefixes, campaigns, strict=True):
         for name, draw in figures_of(campaign).items():
             paths += save(draw, out_html.with_name(f"{prefix}-{name}"), ("png",))
     return paths
 
 
-def campaign_section(campaign: Campaign) -> str:
-    """Describe a campaign in HTML: conditions, figures in numbers, figures drawn."""
+def campaign_section(campaign: Campaign, title: str, worst_folder: Path, prefix: str = "") -> str:
+    """Describe a campaign in HTML under a title: verdicts, charts, worst trials, numbers.
+
+    The worst trials are written into a folder beside the page; ids of charts begin with a prefix.
+    """
     summary = campaign.summary
     missing = campaign.study.n_trials * len(campaign.study.flown_modes) - len(campaign.trials)
     errors = sum(s["errors"] for s in summary.values())
@@ -65,26 +87,65 @@ def campaign_section(campaign: Campaign) -> str:
     warnings = "".join(f'<p class="warning">{escape(note)}</p>' for note in notes)
     flown = {mode: s for mode, s in summary.items() if s["trials"]}
     if not flown:
-        return f"<h2>{escape(campaign.name)}</h2>{warnings}<p>No trial has flown yet.</p>"
-    figures = figures_html(figures_of(campaign), CAPTIONS)
-    heads = [(mode, mode_colour(mode)) for mode in flown]
-    return f"""<h2>{escape(campaign.name)}</h2>
+        return f"<h2>{escape(title)}</h2>{warnings}<p>No trial has flown yet.</p>"
+    heads = [(mode, themed(mode_key(mode))) for mode in flown]
+    charts = [
+        replace(chart, caption=CAPTIONS[name])
+        for name, drawn in all_charts(campaign).items()
+        for chart in drawn
+    ]
+    return f"""<h2>{escape(title)}</h2>
 {warnings}
+{cards(_card(mode, s) for mode, s in flown.items())}
+{charts_html(prefix + "campaign", charts)}
+<p>{why_no_channels(campaign)}</p>
+{_worst_html(write_worst(campaign, worst_folder))}
 <div class="tables">
-<section><h2>Summary</h2>
+<section><h3>Summary</h3>
 {table(heads, [(name, [cell(s) for s in flown.values()]) for name, cell in _ROWS])}</section>
-<section><h2>Conditions</h2>
+<section><h3>Conditions</h3>
 {table([], _conditions(campaign))}</section>
-</div>
-{figures}
-<p>{why_no_channels(campaign)}</p>"""
+</div>"""
 
 
-def figures_html(drawn: dict[str, Callable[[], Figure]], captions: dict[str, str]) -> str:
-    """Put figures into a page, each with its explanation below, both by the figure's name."""
-    return "\n".join(
-        f'<figure id="{name}">{inline_svg(draw)}</figure>\n<p>{captions[name]}</p>'
-        for name, draw in drawn.items()
+def _card(mode: str, summary: dict[str, Any]) -> Card:
+    violations, trials = summary["violations"], summary["trials"]
+    low, high = (100.0 * bound for bound in summary["violation_rate_95"])
+    said = f"{violations} of {trials} trials violated" if violations else "none violated"
+    return Card(
+        mode,
+        f"{summary['min_clearance_m']:.3f} m",
+        f"least clearance of {trials} trials<br>{verdict(not violations, said)}<br>"
+        f"rate {low:.1f} to {high:.1f} % with 95 % confidence",
+        mode_key(mode),
+    )
+
+
+def _worst_html(worst: dict[str, list[WorstTrial]]) -> str:
+    """List the worst trials of each mode, with what flies each again."""
+    titles = ("least clearance [m]", "mass", "thrust", "wind bias x, y, z [N]", "fly it again")
+    rows = []
+    for mode, trials in worst.items():
+        for trial in trials:
+            row = trial.row
+            least = f"{row['min_clearance_m']:.3f}"
+            wind = ", ".join(
+                f"{row[name]:.2f}".replace("-", "−") for name in ("w_bx", "w_by", "w_bz")
+            )
+            shares = [
+                f"{100.0 * row[name]:.1f} %".replace("-", "−") for name in ("mass", "thrust")
+            ]
+            again = (
+                f'<code class="command">{escape(trial.command)}</code>'
+                if trial.command
+                else "a controller of one's own is in no file"
+            )
+            seen = verdict(not row["violated"], least)
+            rows.append((f"{escape(mode)}, trial {row['trial']}", [seen, *shares, wind, again]))
+    return (
+        f"<h3>Worst trials</h3>\n<p>The {LISTED} of each mode with the smallest least clearance, "
+        "and their true mismatch. The commands are for the folder of this page.</p>\n"
+        + table([(title, "") for title in titles], rows)
     )
 
 

@@ -6,59 +6,26 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The report of a reproduction: one HTML page, and its tables in Markdown."""
+"""What the results of a reproduction depend on, in tables."""
 
-from collections.abc import Callable, Sequence
-from html import escape
-from pathlib import Path
 from typing import Any
 
 from gtmr_model import CHANNELS
 from gtmr_monitor.report import look
-from gtmr_monitor.report.html import page, signed, table
+from gtmr_monitor.report.html import signed
 from gtmr_nmpc import PAPER_MODES
-from gtmr_study.campaign.figures import Campaign
-from gtmr_study.campaign.report import campaign_section, figures_html
 from gtmr_study.paper.claims import PAPER
-from gtmr_study.paper.claims_table import Claim, markdown_table
+from gtmr_study.paper.claims_table import markdown_table
 
 Table = list[list[str]]
 """Titles of the columns, then the rows; plain text."""
-
-_CAPTIONS = {
-    "table-ii": "The paper's solve times are those of MATLAB on another machine.",
-    "fig-1": "Under a wind bias of [0.6, 0.4, 0.0] N. The paper gives this figure as a drawing, "
-    "without numbers to compare with.",
-    "fig-2": "The paper's boxes (grey) are drawn from the coordinates of its figure.",
-    "first-order": "Plans of the robust controller flown open loop: the change of the clearance "
-    "over the margin that should bound it. Above the dashed line the margin is exceeded.",
-}
-
-
-def write_page(
-    out_html: Path,
-    campaign: Campaign,
-    claims: Sequence[Claim],
-    results: dict[str, Any],
-    drawn: dict[str, Callable[[], Any]],
-) -> None:
-    """Write the page: claims, figures of the paper by name, and the campaign that was flown."""
-    figures = figures_html(drawn, _CAPTIONS)
-    tried = [["claim", "paper", "here", "command", "verdict"]]
-    tried += [[c.claim, c.paper, c.here, c.command, c.verdict] for c in claims]
-    sections = "\n".join(
-        f"<h2>{title}</h2>\n<p>{text}</p>\n{_html(rows)}"
-        for title, text, rows in _sections(results)
-    )
-    body = f"{_html(tried)}\n{figures}\n{sections}\n{campaign_section(campaign)}"
-    out_html.write_text(page("Reproduction of the paper", body), encoding="utf-8")
 
 
 def sensitivity_markdown(results: dict[str, Any]) -> str:
     """Write what the results depend on."""
     return "\n".join(
         f"## {title}\n\n{text}\n\n{markdown_table(rows)}"
-        for title, text, rows in _sections(results)
+        for title, text, rows in sections(results)
     )
 
 
@@ -111,7 +78,8 @@ def alpha_by_speed(results: dict[str, Any]) -> Table:
     ]
 
 
-def _sections(results: dict[str, Any]) -> list[tuple[str, str, Table]]:
+def sections(results: dict[str, Any]) -> list[tuple[str, str, Table]]:
+    """List the tables of what results depend on: title, text, table."""
     found = []
     if results["variants"]:
         flown = results["variants"][0]["summary"]["nominal"]["trials"]
@@ -140,10 +108,3 @@ def _sections(results: dict[str, Any]) -> list[tuple[str, str, Table]]:
             alpha_by_speed(results),
         ),
     ]
-
-
-def _html(rows: Table) -> str:
-    (_, *heads), *rest = rows
-    cells = [(escape(row[0]), [escape(cell) for cell in row[1:]]) for row in rest]
-    columns = [(head, "") for head in heads]
-    return f'<div class="wide">{table(columns, cells)}</div>'

@@ -13,14 +13,14 @@ from __future__ import annotations
 import inspect
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gtmr_model import ConfigError, YamlModel, airframe_clearance
+from gtmr_sim.flying.log import FlightLog
+from gtmr_sim.flying.step import BY_STAGE, Step
 from gtmr_sim.scenario import Scenario, whole_steps
 from gtmr_sim.simulation import Simulation
 
@@ -55,69 +55,6 @@ class StepController(Protocol):
         takes ``now`` is also told the time from which its plan is played [s].
         """
         ...
-
-
-@dataclass(frozen=True)
-class FlightLog:
-    """A flight, one row per sampling time t_k = k T_s.
-
-    Where no measurement had arrived for a new step, the rows of what the controller told are those
-    of the step before. What it does not tell is no number: its margins and slack have shape
-    (K, 0), and ``failed`` has shape (0,).
-    """
-
-    t: Array
-    """[s], shape (K,)."""
-    x: Array
-    """True state at t_k, shape (K, 12 + N_p)."""
-    x_measured: Array
-    """State that the controller had at t_k, the newest that had arrived, shape (K, 12 + N_p)."""
-    u: Array
-    """Rotor accelerations commanded over [t_k, t_k + T_s) [Hz/s], shape (K, N_p)."""
-    zeta: Array
-    """True mismatch and wind bias, eq. (4), shape (9,)."""
-    w_g: Array
-    """Gust force held over [t_k, t_k + T_s), world frame [N], shape (K, 3)."""
-    d_T: Array
-    """Clearance at t_k [m], shape (K,)."""
-    d_airframe: Array
-    """Clearance of the airframe, its nearest rotor disc, at t_k [m], shape (K,)."""
-    alpha_p: Array
-    """Parametric margins of step k, eq. (12) [m], shape (K, N + 1)."""
-    alpha_g: Array
-    """Gust margins of step k, eq. (13) [m], shape (K, N + 1)."""
-    slack: Array
-    """Slack of step k [m], shape (K, N + 1)."""
-    solve_ms: Array
-    """Time of step k [ms], shape (K,): the controller's own, else measured around ``step``."""
-    failed: NDArray[np.bool_]
-    """Whether the QP solver gave up in step k, shape (K,)."""
-    guard: NDArray[np.bool_]
-    """Whether the guard was in charge at the end of step k, shape (K,)."""
-    least_clearance_m: float
-    """Least d_T of any plant step, the start included [m]."""
-    wind_n: Array
-    """Force of the wind from t_k on, on the vehicle at hover, world frame [N], shape (K, 3); w_b
-    where the world has no wind field."""
-    steady_wind_within: float
-    """Share of time that what is steady of the wind's force, its mean over `STEADY_S`, was within
-    the bounds of w_b [-]."""
-    gusts_within: float
-    """Share of time that the rest of it and ``w_g`` together were within the bound of w_g [-]."""
-
-    @property
-    def failed_steps(self) -> int | None:
-        """In how many steps the QP solver gave up; None if the controller does not tell."""
-        return int(self.failed.sum()) if self.failed.size else None
-
-    @property
-    def max_slack_m(self) -> float | None:
-        """Largest slack of any stage and step [m]; None if the controller does not tell."""
-        return float(self.slack.max()) if self.slack.size else None
-
-    def save(self, file: Path | BinaryIO) -> None:
-        """Write every field to a compressed npz file, by its path or already open."""
-        np.savez_compressed(file, **{f.name: getattr(self, f.name) for f in fields(self)})
 
 
 def fly(
@@ -162,7 +99,7 @@ def fly(
     tells_now = delay_s > 0.0 and "now" in inspect.signature(controller.step).parameters
     times, states, gusts, winds, guarded = [], [], [], [], []
     measured: list[Array] = []
-    taken: list[_Step] = []
+    taken: list[Step] = []
     for k in range(steps):
         t = simulation.time_s
         states.append(simulation.x)
@@ -184,7 +121,7 @@ def fly(
             )
             elapsed_s = time.perf_counter() - start
             try:
-                step = _Step.of(result, scenario.vehicle.n_rotors, elapsed_s)
+                step = Step.of(result, scenario.vehicle.n_rotors, elapsed_s)
                 if taken and step.told != taken[0].told:
                     raise ValueError(f"told {step.told}, in its first step {taken[0].told}")
             except (TypeError, ValueError) as error:
@@ -214,7 +151,7 @@ def fly(
         w_g=w_g,
         d_T=scenario.tower.clearance(x),
         d_airframe=airframe_clearance(x, scenario.vehicle, scenario.tower),
-        **{name: np.array([getattr(step, name) for step in taken]) for name in _BY_STAGE},
+        **{name: np.array([getattr(step, name) for step in taken]) for name in BY_STAGE},
         solve_ms=np.array([step.solve_ms for step in taken]),
         failed=np.array(told, dtype=bool),
         guard=np.array(guarded, dtype=bool),
@@ -222,10 +159,16 @@ def fly(
         wind_n=wind,
         steady_wind_within=_within(np.abs(steady), np.array(bounds.wind_bias_n)),
         gusts_within=_within(rest[:, None], np.array([bounds.gust_n])),
+        sampling_time_s=sampling_time_s,
+        mode=_name_of(controller),
+        scenario=scenario,
     )
 
 
-_BY_STAGE = ("alpha_p", "alpha_g", "slack")
+def _name_of(controller: StepController) -> str:
+    """Say who flies: the mode of the suite's controller, or the class of another."""
+    mode = getattr(controller, "mode", None)
+    return mode if isinstance(mode, str) else type(controller).__name__
 
 
 def _within(rows: Array, bounds: Array) -> float:
@@ -241,58 +184,6 @@ def _moving_mean(rows: Array, window: int) -> Array:
     last = np.minimum(np.arange(n) + half + 1, n)
     mean: Array = (total[last] - total[first]) / (last - first)[:, None]
     return mean
-
-
-@dataclass(frozen=True)
-class _Step:
-    """What is kept of a controller's step; fields as in `FlightLog`, the whole plan apart."""
-
-    u_plan: Array
-    setpoints_hz: Array | None
-    alpha_p: Array
-    alpha_g: Array
-    slack: Array
-    solve_ms: float
-    failed: bool | None
-
-    @property
-    def told(self) -> dict[str, Any]:
-        """What the controller tells beside its plan; the same in every step of a flight."""
-        shapes = {name: getattr(self, name).shape for name in _BY_STAGE}
-        return {**shapes, "status": self.failed is not None}
-
-    @classmethod
-    def of(cls, result: Any, n_rotors: int, elapsed_s: float) -> _Step:
-        """Read what ``step`` returned; raises ValueError or TypeError if it cannot be flown."""
-        planned = hasattr(result, "u_plan")
-        # Copies: the controller may use its arrays again.
-        u = np.array(result.u_plan if planned else result, dtype=float)
-        if planned and not (u.ndim == 2 and len(u) and u.shape[1] == n_rotors):
-            raise ValueError(f"u_plan has shape {u.shape}, expected (n, {n_rotors})")
-        if not planned and u.shape != (n_rotors,):
-            raise ValueError(
-                f"returned shape {u.shape}, expected ({n_rotors},), rotor accelerations [Hz/s]"
-            )
-        if not np.isfinite(u).all():
-            raise ValueError(f"returned {u[~np.isfinite(u)][0]} among the rotor accelerations")
-        told = getattr(result, "setpoints_hz", None) if planned else None
-        setpoints = None if told is None else np.array(told, dtype=float)
-        if setpoints is not None and setpoints.shape != (len(u) + 1, n_rotors):
-            raise ValueError(
-                f"setpoints_hz has shape {setpoints.shape}, expected ({len(u) + 1}, {n_rotors})"
-            )
-        if setpoints is not None and not np.isfinite(setpoints).all():
-            raise ValueError(f"gave {setpoints[~np.isfinite(setpoints)][0]} among the setpoints")
-        stages = {name: getattr(result, name, None) for name in _BY_STAGE}
-        status = getattr(result, "status", None)
-        timing = getattr(result, "timing", None)
-        return cls(
-            u_plan=u.reshape(-1, n_rotors),
-            setpoints_hz=setpoints,
-            **{k: np.array(() if v is None else v, dtype=float) for k, v in stages.items()},
-            solve_ms=1e3 * (elapsed_s if timing is None else timing.total_s),
-            failed=None if status is None else status == "failed",
-        )
 
 
 def _require_made_for(config: object, scenario: Scenario, sampling_time_s: float) -> None:
