@@ -16,7 +16,7 @@ import sys
 import time
 from dataclasses import replace
 from functools import partial
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import Field, field_validator
 from rcl_interfaces.msg import ParameterEvent
@@ -34,8 +34,9 @@ from gtmr_monitor.bag.metadata import OfferedQos
 from gtmr_monitor.hearing import Gaps, Numbers
 from gtmr_monitor.recorder import Recorder
 from gtmr_monitor.residual import ResidualWatch
-from gtmr_msgs_py import topics
-from gtmr_msgs_py.messages import clearance, odometry
+from gtmr_msgs_py import contract, topics
+from gtmr_msgs_py.contract import Frames, TopicName
+from gtmr_msgs_py.messages import clearance, odometry, transforms
 from gtmr_msgs_py.node import diagnostics
 from gtmr_msgs_py.node.diagnostics import Level
 from gtmr_msgs_py.node.listening import Info, listen, received_ns, take_what_arrived
@@ -56,8 +57,11 @@ FLUSH_PERIOD_S = 0.5
 """Between two flushes of the bag where no messages come that would cause one, wall time [s]."""
 PARAMETERS_PERIOD_S = 0.1
 """Between two looks for nodes whose parameters are not yet in the bag, wall time [s]."""
+TRANSFORM_PERIOD_NS = 50_000_000
+"""Between two transforms of a vehicle in the bag, odometry time [ns]; viewers interpolate."""
 FLYING = sorted({n for topic in topics.TOPICS for n in topic.publishers} - {"monitor"})
 """Nodes of which every vehicle has its own."""
+AnyTopic = TypeVar("AnyTopic", bound=TopicName)
 NAMESPACE = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 """What may stand before the topics of a vehicle."""
 
@@ -90,7 +94,7 @@ class WatchedVehicle:
     Its namespace is relative to that of the node, the monitor; empty for that.
     """
 
-    def __init__(self, node: SuiteNode, namespace: str) -> None:
+    def __init__(self, node: SuiteNode, namespace: str, frames: Frames) -> None:
         self.node = node
         self.namespace = namespace
         self.watch = ResidualWatch()
@@ -113,6 +117,9 @@ class WatchedVehicle:
         self.warned: list[str] = []
         """What of that was told in the log."""
         self.truth_name = node.resolve_topic_name(self.topic(topics.GROUND_TRUTH).name)
+        self.tf_name = node.resolve_topic_name(self.topic(contract.TF).name)
+        self._frames = frames
+        self._transform_ns: int | None = None
         self.source = topics.ODOM
         """Where its clearance comes from: what is true, where somebody tells it."""
         parts = (node.get_namespace().strip("/"), namespace)
@@ -120,7 +127,7 @@ class WatchedVehicle:
         self.nodes = {f"{above}/{name}": name for name in FLYING}
         """Short names of these nodes by full name."""
 
-    def topic(self, topic: topics.Topic) -> topics.Topic:
+    def topic(self, topic: AnyTopic) -> AnyTopic:
         """Return a topic of the suite as this vehicle has it."""
         if not self.namespace or topic.name.startswith("/"):
             return topic
@@ -130,6 +137,15 @@ class WatchedVehicle:
     def is_silent(self) -> bool:
         """Whether what its clearance comes from has stopped."""
         return self.silence is not None and self.silence.silent
+
+    def record_transform(self, bag: Recorder, stamp_ns: int, x: Any, log_time_ns: int) -> None:
+        """Write where it is into the bag, of a state [p, eta, ...], where nobody publishes it."""
+        last_ns = self._transform_ns
+        # Time goes back where a flight begins again.
+        due = last_ns is None or not 0 <= stamp_ns - last_ns < TRANSFORM_PERIOD_NS
+        if topics.TF is None and due:
+            self._transform_ns = stamp_ns
+            bag.write(self.tf_name, transforms.pack(stamp_ns, x, self._frames), log_time_ns)
 
     def take_from(self, source: topics.Topic) -> None:
         """Take the clearance from another topic from now on, and begin to count again."""
@@ -178,12 +194,15 @@ class MonitorNode(SuiteNode):
 
     def allocate(self) -> None:
         """Open the bag."""
-        self._vehicles = [WatchedVehicle(self, name) for name in self._settings.value.namespaces]
+        settings = self._settings.value
+        self._vehicles = [
+            WatchedVehicle(self, name, settings.frames) for name in settings.namespaces
+        ]
         self._numbers = Numbers()
         self._of_one = {
             name for name, topic in self._topics().items() if len(topic.publishers) == 1
         }
-        self._recording = self._record_into(self._settings.value.bag)
+        self._recording = self._record_into(settings.bag)
         self._status = topics.DIAGNOSTICS.publisher(self)
 
     def connect(self) -> None:
@@ -207,6 +226,11 @@ class MonitorNode(SuiteNode):
         self.create_timer(PARAMETERS_PERIOD_S, self._poll_parameters, clock=wall)
         if not self._recording.folder:
             return
+        self._recording.write(
+            contract.TF_STATIC.name,
+            transforms.pack_tower(self._settings.value.frames),
+            time.time_ns(),
+        )
         self._record_everything()
         self.create_timer(FLUSH_PERIOD_S, self._recording.flush, clock=wall)
         self._take_parameters(own_parameters(self))
@@ -240,6 +264,11 @@ class MonitorNode(SuiteNode):
         recorded = {
             name: (topic.type_name, _offered(topic.qos)) for name, topic in self._topics().items()
         }
+        if topics.TF is None:
+            tf = (contract.TF.type_name, OfferedQos())
+            recorded |= {vehicle.tf_name: tf for vehicle in self._vehicles}
+        latched = OfferedQos(depth=1, durability="transient_local")
+        recorded[contract.TF_STATIC.name] = (contract.TF_STATIC.type_name, latched)
         try:
             return Recorder(folder, recorded, self._say)
         except BagError as error:
@@ -305,6 +334,7 @@ class MonitorNode(SuiteNode):
         tower = settings.tower
         stamp_ns, x = odometry.unpack(data, settings.frames)
         residual_m = float(tower.residual(x))
+        vehicle.record_transform(self._recording, stamp_ns, x, came_ns)
         begins = vehicle.order.newest_ns is None
         ended = vehicle.update(stamp_ns, residual_m)
         if ended is not None:

@@ -22,6 +22,8 @@ MAP = "map"
 """World frame, ENU (REP-105)."""
 BASE_LINK = "base_link"
 """Body frame, FLU (REP-103)."""
+TOWER_FRAME = "tower"
+"""The tower's axis at the ground; it has the world's axes."""
 RAD_PER_TURN = 2.0 * math.pi
 """From Hz of the state to rad/s of messages, and from Hz/s to rad/s^2."""
 TIGHTENING_COLUMNS = (*CHANNELS, "eps_s", "alpha_g", "slack")
@@ -159,7 +161,14 @@ TF = TopicName(
     "tf2_msgs/msg/TFMessage",
     ("sim",),
     (),
-    "Pose of `base_link` in `map`, where tf2_msgs is there",
+    "Pose of `base_link` in `map`, where tf2_msgs is there; in a bag always",
+)
+TF_STATIC = TopicName(
+    "/tf_static",
+    "tf2_msgs/msg/TFMessage",
+    (),
+    (),
+    "`tower` in `map`, at the start of every bag: viewers have a frame before the flight begins",
 )
 CLOCK = TopicName(
     "/clock",

@@ -112,6 +112,11 @@ class Controller:
         for fixed in FIXED:
             if getattr(config, fixed) != getattr(self.config, fixed):
                 raise ValueError(f"{fixed} cannot change in flight: make a new controller")
+        problem = ControllerConfig.model_fields
+        if all(getattr(config, name) == getattr(self.config, name) for name in problem):
+            # The same problem, such as with another mode beside it: what took long stays valid.
+            self.config = config
+            return
         self._margin = self._chosen_margin(config)
         self.config = config
         self._sent.reconfigure(config)

@@ -41,8 +41,8 @@ from gtmr_sim.simulation import Simulation
 
 DIAGNOSTICS_PERIOD_S = 1.0
 """Between two messages on /diagnostics, wall time [s]."""
-MARKERS_PERIOD_S = 0.2
-"""Between two sets of markers, wall time [s]."""
+MARKERS_PERIOD_S = 0.05
+"""Between two sets of markers, wall time [s]: often enough for a vehicle that moves."""
 RESEND_PERIOD_S = 0.1
 """How long a state waits for an answer before it is published again, wall time [s]."""
 DELIVERY_TIMEOUT_S = 2.0
@@ -251,7 +251,7 @@ class SimNode(SuiteNode):
         self._truth.publish(odometry.pack(stamp_ns, x, frames))
         self._clock_time.publish(ClockMessage(clock=stamps.encode(stamp_ns)))
         if self._transform is not None:
-            self._transform.publish(transforms.encode(stamp_ns, x, frames))
+            self._transform.publish(transforms.pack(stamp_ns, x, frames))
         self._guard.publish(Bool(data=bool(self._session.guard_active)))
         self._published_at = time.monotonic()
 
@@ -323,6 +323,7 @@ class SimNode(SuiteNode):
             return
         scenario = self._settings.value
         x = self._session.x
+        # All in one message: who looks at one moment of a bag has the last message only.
         scene = markers.tower(scenario.tower) + markers.vehicle(scenario.vehicle, x)
         scene += markers.guard(x[POSITION], self._session.guard_cause)
         self._markers.publish(markers.encode(self._session.stamp_ns, scene, scenario.world_frame))

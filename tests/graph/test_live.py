@@ -15,6 +15,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from matplotlib import image
 from rosgraph_msgs.msg import Clock
 from support.loop_messages import odometry_message, rotor_states_message
@@ -33,6 +34,7 @@ from support import chromium  # noqa: E402 -- its WebSocket client comes with vi
 
 from gtmr_study.ros import live  # noqa: E402
 from gtmr_study.ros.live_page import LivePage  # noqa: E402
+from gtmr_study.ros.live_record import FlightRecord, Moment  # noqa: E402
 from gtmr_study.ros.live_status import Standing, status  # noqa: E402
 
 DURATION_S = 10.0
@@ -104,10 +106,14 @@ def test_a_browser_draws_the_page_and_asks_nobody_else_for_anything(page):
 
 
 class Recorder:
-    """Stands in for the page."""
+    """Stands in for the page, and its panel."""
+
+    following = True
 
     def __init__(self, duration_s, modes, min_clearance_m):
-        self.drawn, self.residuals, self.shown = {}, [], []
+        self.drawn, self.residuals, self.shown, self.times = {}, [], [], []
+        self.values, self.told = {}, []
+        self.panel, self.flying_mode = self, modes[0]
 
     def draw(self, drawn, frame="map"):
         self.drawn |= {(marker.ns, marker.id): marker for marker in drawn}
@@ -121,8 +127,29 @@ class Recorder:
     def move(self, pose):
         self.pose = pose
 
+    def blow(self, force_n):
+        self.wind_n = force_n
+
     def show(self, *now):
         self.shown.append(now)
+
+    def follow(self, mode):
+        self.flying_mode = mode
+
+    def at(self, time_s):
+        self.times.append(time_s)
+
+    def set(self, name, value):
+        self.values[name] = value
+
+    def tell(self, answer):
+        self.told.append(answer)
+
+    def flown(self):
+        self.over = True
+
+    def stop(self):
+        self.stopped = True
 
 
 def test_the_view_draws_what_it_hears(monkeypatch):
@@ -149,17 +176,155 @@ def test_the_view_draws_what_it_hears(monkeypatch):
         def complete():
             for publisher, message in publishers:
                 publisher.publish(message)
-            refresh()
+            assert not refresh()
             drawn = {namespace for namespace, _ in page.drawn}
             heard = ("robust", 1.5, -0.12) in page.residuals
             return drawn >= wanted and heard and page.shown[-1][1] > 0.0
 
         graph.wait_until(complete)
-    assert page.pose == odometry_message(0, STATE).pose.pose
+    at = odometry_message(0, STATE).pose.pose.position
+    assert page.pose.position == at
     assert page.shown[-1] == ("robust", pytest.approx(0.091))
     shell = page.drawn["tightened", 0]
     assert 0.5 * shell.scale.x == pytest.approx(1.0 + 0.2 + 0.091)
     assert ("thrust", 5) in page.drawn
+    # Smooth, also where the points that were published are far apart.
+    assert len(page.drawn["reference", 0].points) == 161
+
+
+def moment(time_s, x, mode="robust"):
+    body = np.r_[x, STATE[1:12]]
+    return Moment(time_s, mode, body, STATE[12:], PLAN, MARGINS)
+
+
+def test_every_moment_of_every_flight_can_be_looked_at(monkeypatch):
+    monkeypatch.setattr(live, "LivePage", Recorder)
+    view = live.LiveView(DURATION_S, ["nominal", "robust"])
+    for k in range(100):
+        view.records["nominal"].add(moment(0.1 * k, 1.3 + 0.001 * k, "nominal"))
+    view.records["robust"].add(moment(0.0, 2.0))
+    for flight, time_s, x in (("nominal", 5.04, 1.35), ("nominal", 99.0, 1.399), ("robust", 5, 2)):
+        view.scrub(flight, time_s)
+        assert view.page.pose.position.x == pytest.approx(x)
+        color = view.page.drawn["plan", 0].color
+        assert color.r == pytest.approx(markers.MODE_COLORS[flight].r)
+
+
+def test_a_long_flight_is_kept_at_fewer_moments_a_second():
+    record = FlightRecord(duration_s=36_000.0)
+    for k in range(20_000):
+        record.add(moment(1.8 * k, 1.3))
+    assert 3000 <= len(record.moments) <= 4001
+    assert FlightRecord(1.0).at(0.5) is None
+
+
+def test_it_stays_until_ctrl_c_and_then_serves_nobody(monkeypatch):
+    monkeypatch.setattr(live, "LivePage", Recorder)
+    view = live.LiveView(DURATION_S, ["robust"])
+
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(live.time, "sleep", interrupt)
+    view.stay()
+    assert view.page.over
+    assert view.page.stopped
+    view.change("mode", "nominal")
+    assert view.page.told == ["no flight to change"]
+
+
+def test_what_is_chosen_on_the_page_the_nodes_take_or_refuse(monkeypatch):
+    monkeypatch.setattr(live, "LivePage", Recorder)
+    view = live.LiveView(DURATION_S, ["nominal"])
+    page = view.page
+    with RosGraph() as graph:
+        graph.start("gtmr_nmpc.node", mode="nominal")
+        graph.start("gtmr_sim.node", zeta=f"[{', '.join(['0.0'] * 6)}, 0.6, 0.4, 0.0]")
+        refresh = view.watch(graph.node, "nominal")
+
+        def until(condition):
+            graph.wait_until(lambda: (refresh(), condition())[1])
+
+        until(lambda: page.values.get("zeta") and page.values.get("mode") == "nominal")
+        assert list(page.wind_n) == [0.6, 0.4, 0.0]
+        view.change("mode", "robust")
+        view.change("wind", (0.1, -0.2, 0.3))
+        view.change("real_time_factor", 0.5)
+        until(lambda: page.values["mode"] == "robust" and page.values["real_time_factor"] == 0.5)
+        until(lambda: list(page.wind_n) == [0.1, -0.2, 0.3])
+        assert graph.get_parameter("nmpc", "mode") == "robust"
+        assert list(graph.get_parameter("sim", "zeta"))[6:] == [0.1, -0.2, 0.3]
+        assert not any(page.told)
+
+        page.values.clear()
+        view.change("gust.std_n", -1.0)
+        until(lambda: any(page.told) and "gust.std_n" in page.values)
+        assert page.told[-1].startswith("sim refused gust.std_n: ")
+        assert page.values["gust.std_n"] == graph.get_parameter("sim", "gust.std_n") >= 0.0
+
+        view.change("pause", True)
+        assert refresh()  # so that nobody takes the flight for stuck
+        status = graph.node.create_subscription(
+            DiagnosticArray, "/diagnostics", graph.received["status"].append, 10
+        )
+        until(lambda: any(
+            each.message == "paused" for m in graph.received["status"] for each in m.status
+        ))  # fmt: skip
+        graph.node.destroy_subscription(status)
+
+
+WIDTHS = (1400, 420)
+
+
+@pytest.mark.skipif(chromium.find() is None, reason="there is no Chromium on this machine")
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_click_on_the_page_is_told(page, width):
+    chosen, scrubbed = [], []
+    page.panel.on_change = lambda *choice: chosen.append(choice)
+    page.panel.on_scrub = lambda *choice: scrubbed.append(choice)
+    with chromium.Page(page.url, width, 800) as window:
+        window.resize(width, 800)
+        window.wait_until(lambda: "Change in flight" in text_of(window))
+        for label in ("Look back", "Flight", "Time [s]", "Mode", "Pause", "Pace", "Gust [N]"):
+            assert label in text_of(window)
+        click(window, control("Mode"))
+        option = (
+            "[...document.querySelectorAll('[role=option]')].find("
+            "(o) => o.innerText == 'robust' && o.offsetParent)"
+        )
+        window.wait_until(lambda: window.evaluate(f"Boolean({option})"))
+        click(window, option)
+        window.wait_until(lambda: ("mode", "robust") in chosen)
+        click(window, control("Pause"))
+        window.wait_until(lambda: ("pause", True) in chosen)
+        # In the middle of the slider is the middle of the flight.
+        click(window, control("Time [s]"))
+        window.wait_until(lambda: bool(scrubbed))
+        assert scrubbed[-1][1] == pytest.approx(0.5 * DURATION_S, abs=0.1 * DURATION_S)
+        assert scrubbed[-1][0] == "nominal"
+        assert not page.panel.following
+        assert window.overflow_px() <= 0
+        assert not window.complaints
+
+
+def text_of(window):
+    return window.evaluate("document.body.innerText") or ""
+
+
+def control(label):
+    """What a label belongs to, in JavaScript: so a user finds it, and a screen reader."""
+    labels = "[...document.querySelectorAll('label')]"
+    return f"document.getElementById({labels}.find((l) => l.innerText == '{label}').htmlFor)"
+
+
+def click(window, element):
+    """Click in the middle of an element, given in JavaScript, as a user does."""
+    x, y = window.evaluate(
+        f"(() => {{const e = {element}; e.scrollIntoView({{block: 'center'}});"
+        "const r = e.getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]})()"
+    )
+    for kind in ("mousePressed", "mouseReleased"):
+        window.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
 
 def test_the_status_says_who_came_too_close():

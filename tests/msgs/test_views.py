@@ -6,10 +6,8 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The views show what the nodes publish: markers, transform, RViz and Foxglove configurations."""
+"""The views show what the nodes publish: markers, transform, RViz configuration."""
 
-import json
-import re
 from pathlib import Path
 
 import casadi as ca
@@ -19,13 +17,13 @@ import yaml
 from rclpy.serialization import deserialize_message, serialize_message
 from visualization_msgs.msg import Marker
 
-from gtmr_model import CHANNELS, Tower, Vehicle
+from gtmr_model import Tower, Vehicle
 from gtmr_model.dynamics import rotation
+from gtmr_monitor.bag.format import typestore
 from gtmr_monitor.report import look
 from gtmr_msgs_py import contract, topics
 from gtmr_msgs_py.messages import markers, transforms
 from gtmr_msgs_py.wire import attitude
-from gtmr_nmpc import ControllerConfig
 
 VIEWS = Path(__file__).parents[2] / "rviz"
 NAMES = {topic.name.lstrip("/") for topic in topics.TOPICS}
@@ -132,18 +130,39 @@ def test_every_namespace_that_is_drawn_is_listed():
     assert {marker.ns for marker in everything()} == set(markers.NAMESPACES)
 
 
+def transform_in(data):
+    """What a reader that is not ours takes the bytes for."""
+    message = typestore().deserialize_cdr(data, contract.TF.type_name)
+    assert typestore().serialize_cdr(message, contract.TF.type_name).tobytes() == data
+    (transform,) = message.transforms
+    return transform
+
+
 def test_the_transform_is_the_pose_of_base_link_in_map():
-    message = over_the_wire(transforms.transform(7, STATE))
+    message = transform_in(transforms.pack(3_000_000_007, STATE))
     assert (message.header.frame_id, message.child_frame_id) == ("map", "base_link")
-    assert message.header.stamp.nanosec == 7
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (3, 7)
     assert xyz(message.transform.translation) == pytest.approx(STATE[:3])
     assert attitude.rotation(message.transform.rotation) == pytest.approx(body_to_world())
+
+
+def test_a_frame_of_any_name_has_a_transform():
+    message = transform_in(transforms.pack(0, STATE, contract.Frames("earth", "hexarotor_12")))
+    assert (message.header.frame_id, message.child_frame_id) == ("earth", "hexarotor_12")
+    assert xyz(message.transform.translation) == pytest.approx(STATE[:3])
+
+
+def test_the_tower_stands_where_the_world_begins():
+    message = transform_in(transforms.pack_tower())
+    assert (message.header.frame_id, message.child_frame_id) == ("map", contract.TOWER_FRAME)
+    assert not xyz(message.transform.translation).any()
+    assert attitude.rotation(message.transform.rotation) == pytest.approx(np.eye(3))
 
 
 def test_tf_is_a_topic_where_tf2_messages_are_installed():
     pytest.importorskip("tf2_msgs", reason="tf2_msgs is not installed")
     assert topics.TF in topics.TOPICS
-    message = over_the_wire(transforms.encode(7, STATE))
+    message = deserialize_message(transforms.pack(7, STATE), topics.TF.message)
     assert [each.child_frame_id for each in message.transforms] == ["base_link"]
 
 
@@ -163,55 +182,3 @@ def test_rviz_shows_every_namespace(rviz):
     (display,) = (each for each in rviz["Displays"] if each["Class"].endswith("/MarkerArray"))
     assert display["Namespaces"] == dict.fromkeys(markers.NAMESPACES, True)
     assert rviz["Global Options"]["Fixed Frame"] == contract.MAP
-
-
-@pytest.fixture(scope="module")
-def foxglove():
-    return json.loads((VIEWS / "inspection.foxglove.json").read_text())
-
-
-def panels_in(split):
-    if isinstance(split, str):
-        return [split]
-    return panels_in(split["first"]) + panels_in(split["second"])
-
-
-def series(foxglove, panel):
-    paths = foxglove["configById"][f"Plot!{panel}"]["paths"]
-    return {path["label"]: path["value"] for path in paths}
-
-
-def test_foxglove_lays_out_every_panel(foxglove):
-    assert sorted(panels_in(foxglove["layout"])) == sorted(foxglove["configById"])
-
-
-def test_foxglove_shows_topics_that_exist(foxglove):
-    scene = foxglove["configById"]["3D!scene"]["topics"]
-    plotted = re.findall(r'"value": "(/\w+)\.', json.dumps(foxglove))
-    assert {name.lstrip("/") for name in [*scene, *plotted]} <= NAMES
-    assert set(scene) == {"/markers", "/reference", "/predicted_path"}
-    assert set(plotted) == {"/clearance_residual", "/tightening", "/solve_time"}
-
-
-def test_foxglove_shows_every_namespace(foxglove):
-    shown = foxglove["configById"]["3D!scene"]["topics"]["/markers"]["namespaces"]
-    assert shown == {name: {"visible": True} for name in markers.NAMESPACES}
-
-
-def test_foxglove_plots_the_margins_of_the_last_stage_by_their_channel(foxglove):
-    columns = contract.TIGHTENING_COLUMNS
-    last = ControllerConfig().horizon * len(columns)
-    expected = {
-        look.MARGIN_LABELS[name]: f"/tightening.data[{last + columns.index(name)}]"
-        for name in (*CHANNELS, "eps_s")
-    }
-    expected["gust"] = f"/tightening.data[{last + columns.index('alpha_g')}]"
-    expected["slack used"] = f"/tightening.data[{last + columns.index('slack')}]"
-    assert series(foxglove, "margins") == expected
-
-
-def test_foxglove_draws_the_lines_that_must_not_be_crossed(foxglove):
-    assert series(foxglove, "residual")["safety line"] == "0"
-    assert float(series(foxglove, "solve_time")["sampling time"]) == (
-        ControllerConfig().sampling_time_s
-    )

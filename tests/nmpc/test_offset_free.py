@@ -95,3 +95,13 @@ def test_rotors_at_their_limits_wind_nothing_up():
     weight = 9.81 * config.vehicle.mass_kg
     assert (theta[BIAS] + theta[GUST])[0] == pytest.approx(0.8, abs=0.15)
     assert (theta[BIAS] + theta[GUST])[2] == pytest.approx(-0.2 - 0.1 * weight, abs=0.3)
+
+
+def test_a_switch_in_flight_computes_nothing_anew(monkeypatch):
+    """What takes long was computed before: a node hands over its parameters with the new mode."""
+    controller = Controller(ControllerConfig(), "offset_free")
+    controller.mode = "nominal"
+    monkeypatch.setattr("gtmr_nmpc.controller.deviations", lambda _: pytest.fail("computed again"))
+    controller.mode = "offset_free"
+    controller.reconfigure(ControllerConfig())
+    assert controller.mode == "offset_free"

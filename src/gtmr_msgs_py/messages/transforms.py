@@ -8,40 +8,45 @@
 
 """The vehicle's pose as the transform from `map` to `base_link`, for tf2.
 
-``tf2_msgs`` comes with an installed ROS 2 and not with the wheels on PyPI: without it there is no
-transform, and every view of the suite still works, since all else is published in `map`.
+``tf2_msgs`` comes with an installed ROS 2 and not with the wheels on PyPI. Without it nobody can
+publish a transform, but a bag can hold it all the same: here are its bytes.
 """
 
-from typing import Any
+from functools import lru_cache
 
 import numpy as np
-from geometry_msgs.msg import TransformStamped, Vector3
 from numpy.typing import ArrayLike
 
 from gtmr_model.dynamics import ATTITUDE, POSITION
-from gtmr_msgs_py.contract import TF, Frames
-from gtmr_msgs_py.topics import message_class
-from gtmr_msgs_py.wire import attitude, stamps
+from gtmr_msgs_py.contract import TOWER_FRAME, Frames
+from gtmr_msgs_py.wire import attitude
+from gtmr_msgs_py.wire.fixed_cdr import FixedCdr
 
 OURS = Frames()
 """`map` and `base_link`."""
 
 
-def encode(stamp_ns: int, x: ArrayLike, frames: Frames = OURS) -> Any:
-    """Make the tf2_msgs/TFMessage of a state as `transform` does; this needs ``tf2_msgs``."""
-    return message_class(TF.type_name)(transforms=[transform(stamp_ns, x, frames)])
-
-
-def transform(stamp_ns: int, x: ArrayLike, frames: Frames = OURS) -> TransformStamped:
-    """Make the transform of a state: the pose of the body frame (FLU) in the world frame (ENU).
+def pack(stamp_ns: int, x: ArrayLike, frames: Frames = OURS) -> bytes:
+    """Make CDR bytes of a tf2_msgs/TFMessage: the pose of the body (FLU) in the world (ENU).
 
     The state [p, eta, ...] was measured at the stamp [ns]: world ENU [m], [rad].
     """
     state = np.asarray(x, dtype=float)
-    px, py, pz = (float(value) for value in state[POSITION])
-    msg = TransformStamped(child_frame_id=frames.body)
-    msg.header.stamp = stamps.encode(stamp_ns)
-    msg.header.frame_id = frames.world
-    msg.transform.translation = Vector3(x=px, y=py, z=pz)
-    msg.transform.rotation = attitude.encode(state[ATTITUDE])
-    return msg
+    q = attitude.encode(state[ATTITUDE])
+    return _layout(frames.world, frames.body).pack(
+        stamp_ns, [*state[POSITION], q.x, q.y, q.z, q.w]
+    )
+
+
+def pack_tower(frames: Frames = OURS) -> bytes:
+    """Make CDR bytes of a tf2_msgs/TFMessage that never changes: the tower's foot."""
+    return _layout(frames.world, TOWER_FRAME).pack(0, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+
+@lru_cache(maxsize=8)
+def _layout(world: str, child: str) -> FixedCdr:
+    """One geometry_msgs/TransformStamped: translation, and rotation as a quaternion."""
+    layout = FixedCdr(world, sequence=True)
+    layout.string(child)
+    layout.float64(7)
+    return layout

@@ -39,11 +39,18 @@ def stamp_of(data: bytes) -> int | None:
 
 
 class FixedCdr:
-    """The bytes of a message that begins with a header; write its fields in their order."""
+    """The bytes of a message that begins with a header; write its fields in their order.
 
-    def __init__(self, frame_id: str = "") -> None:
-        self._bytes = bytearray(CDR_LITTLE_ENDIAN + bytes(STAMP.size))
+    If it is a ``sequence``, the header is that of the only element.
+    """
+
+    def __init__(self, frame_id: str = "", sequence: bool = False) -> None:
+        self._bytes = bytearray(CDR_LITTLE_ENDIAN)
         self._numbers = np.empty(0, dtype=int)
+        if sequence:
+            self.uint32(1)
+        self._stamp_at = len(self._bytes)
+        self._bytes += bytes(STAMP.size)
         self.string(frame_id)
 
     def uint32(self, *values: int) -> None:
@@ -76,7 +83,7 @@ class FixedCdr:
         It has a stamp [ns] in its header, and every float64 in order, shape (M,).
         """
         data = self._bytes.copy()
-        STAMP.pack_into(data, len(CDR_LITTLE_ENDIAN), *divmod(stamp_ns, NANOSECONDS))
+        STAMP.pack_into(data, self._stamp_at, *divmod(stamp_ns, NANOSECONDS))
         _float64_of(data)[self._numbers] = numbers
         return bytes(data)
 
@@ -92,8 +99,8 @@ class FixedCdr:
         float64 = _float64_of(rest)
         numbers = float64[self._numbers]
         float64[self._numbers] = 0.0
-        sec, nanosec = STAMP.unpack_from(rest, len(CDR_LITTLE_ENDIAN))
-        STAMP.pack_into(rest, len(CDR_LITTLE_ENDIAN), 0, 0)
+        sec, nanosec = STAMP.unpack_from(rest, self._stamp_at)
+        STAMP.pack_into(rest, self._stamp_at, 0, 0)
         return (sec * NANOSECONDS + nanosec, numbers) if rest == self._bytes else None
 
     def _align(self, size: int) -> None:

@@ -11,7 +11,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,7 +20,7 @@ import typer
 
 from gtmr_model import Helix, Vehicle
 from gtmr_nmpc import MODES, ControllerConfig
-from gtmr_sim import GUST_KINDS, GUSTS, World
+from gtmr_sim import GUST_KINDS, GUSTS, Scenario, World
 from gtmr_sim.flying.log import SLACK_TOLERANCE_M
 from gtmr_study.campaign.study import controller_for
 from gtmr_study.cli.fly import FLIGHT_ROWS, FLIGHT_WORDS, require_duration, scenario_for
@@ -112,7 +111,7 @@ def demo_command(
     from gtmr_monitor.bag.flight import read_flight
     from gtmr_monitor.report.page import write_report
 
-    view = _live_view(duration, chosen) if live else None
+    view = _live_view(duration, chosen, scenarios[chosen[0]]) if live else None
     tower = config.tower
     console.print(
         f"Flying {config.vehicle.name} around a tower of {2.0 * tower.radius_m:g} m diameter, "
@@ -167,9 +166,9 @@ def demo_command(
         "Next:    gtmr fly --help, README.md"
     )
     write_json(json, {"modes": results})
-    if view is not None and console.is_terminal:
-        with contextlib.suppress(EOFError, KeyboardInterrupt):
-            console.input(f"Live view: {view.page.url} until you press Enter ")
+    if view is not None:
+        console.print(f"Live view: {view.page.url} shows the flights until Ctrl-C")
+        view.stay()
 
 
 def _tracking(flight: Flight) -> dict[str, Any]:
@@ -186,12 +185,12 @@ def _tracking(flight: Flight) -> dict[str, Any]:
     }
 
 
-def _live_view(duration: float, modes: list[str]) -> LiveView:
+def _live_view(duration: float, modes: list[str], scenario: Scenario | None = None) -> LiveView:
     """Serve the page of the live view, which needs viser."""
     try:
         from gtmr_study.ros.live import LiveView
     except ModuleNotFoundError as error:
         raise InputError(f"--live needs {error.name}: pip install 'gtmr[live]'") from None
-    view = LiveView(duration, modes)
+    view = LiveView(duration, modes, scenario)
     console.print(f"Live view: {view.page.url} (open it in a browser)")
     return view

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import rclpy
 import yaml
@@ -37,7 +37,7 @@ from gtmr_nmpc import ControllerConfig
 from gtmr_sim import Scenario
 
 if TYPE_CHECKING:
-    from gtmr_study.ros.live import LiveView
+    from rclpy.node import Node
 
 STOP_TIMEOUT_S = 20.0
 """How long a node may take to end after SIGINT [s]."""
@@ -46,6 +46,16 @@ STALL_TIMEOUT_S = 30.0
 
 OnProgress = Callable[[float, float], None]
 """Told the simulated time [s] and the clearance [m] while flying."""
+
+
+class Onlooker(Protocol):
+    """Who takes part in a flight, beside the nodes that fly it."""
+
+    def watch(self, node: Node, mode: str) -> Callable[[], bool]:
+        """Use a node that hears the flight, begun in a mode.
+
+        What is returned is called often, and says whether time is meant to stand still.
+        """
 
 
 class DemoError(RuntimeError):
@@ -73,7 +83,7 @@ def fly_in_ros(
     duration_s: float,
     folder: Path,
     on_progress: OnProgress,
-    live: LiveView | None = None,
+    onlooker: Onlooker | None = None,
 ) -> Path:
     """Fly the helix once, in real time where the machine keeps up, with one process a node.
 
@@ -88,7 +98,7 @@ def fly_in_ros(
     bag = folder / "bag"
     scenario, vehicle = flown.scenario, _vehicle(flown.scenario, folder)
     tower = _parameters("tower", scenario.tower)
-    with _nodes(domain_id, folder) as start:
+    with nodes(domain_id, folder) as start:
         start("gtmr_monitor.node", {"bag": str(bag), **tower})
         nmpc = {"mode": flown.mode, "controller": flown.controller, "vehicle": vehicle}
         start("gtmr_nmpc.node", {**nmpc, "recorders": "1"})
@@ -111,7 +121,7 @@ def fly_in_ros(
                 "lockstep": "true",
             },
         )
-        _watch(domain_id, flown.mode, sim, on_progress, live)
+        watch(domain_id, flown.mode, sim, on_progress, onlooker)
     return bag
 
 
@@ -139,18 +149,22 @@ def _text(value: object) -> str:
 
 
 @dataclass
-class _NodeProcess:
+class NodeProcess:
+    """A node of the suite as a process of its own, and its log."""
+
     name: str
     process: subprocess.Popen[bytes]
     log: Path
 
     def require_well(self) -> None:
+        """Raise DemoError if it ended with an error."""
         code = self.process.poll()
         if code not in (None, 0):
             last = self.log.read_text(errors="replace").strip().rpartition("\n")[2]
             raise DemoError(f"{self.name} ended with exit code {code}: {last} (see {self.log})")
 
     def stop(self) -> None:
+        """End it as Ctrl-C does, or outright if it takes too long."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
             try:
@@ -161,12 +175,12 @@ class _NodeProcess:
 
 
 @contextmanager
-def _nodes(domain_id: int, folder: Path) -> Iterator[Callable[..., list[_NodeProcess]]]:
+def nodes(domain_id: int, folder: Path) -> Iterator[Callable[..., list[NodeProcess]]]:
     """Start nodes one after the other, and end them all, the recorder last."""
-    started: list[_NodeProcess] = []
+    started: list[NodeProcess] = []
     environment = ros_environment(domain_id)
 
-    def start(module: str, parameters: Mapping[str, str]) -> list[_NodeProcess]:
+    def start(module: str, parameters: Mapping[str, str]) -> list[NodeProcess]:
         name = module.partition(".")[0]
         log = folder / f"{name}.log"
         assigned = [f"{key}:={value}" for key, value in parameters.items()]
@@ -181,7 +195,7 @@ def _nodes(domain_id: int, folder: Path) -> Iterator[Callable[..., list[_NodePro
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
             )
-        started.append(_NodeProcess(name, process, log))
+        started.append(NodeProcess(name, process, log))
         return started
 
     try:
@@ -193,12 +207,12 @@ def _nodes(domain_id: int, folder: Path) -> Iterator[Callable[..., list[_NodePro
         node.require_well()
 
 
-def _watch(
+def watch(
     domain_id: int,
     mode: str,
-    nodes: list[_NodeProcess],
+    nodes: list[NodeProcess],
     on_progress: OnProgress,
-    live: LiveView | None,
+    onlooker: Onlooker | None = None,
 ) -> None:
     """Watch a flight until the simulator, the node started last, ends."""
     # The profile is read when the first participant of a process is made.
@@ -222,11 +236,11 @@ def _watch(
     try:
         topics.CLOCK.subscription(node, on_clock)
         topics.CLEARANCE.subscription(node, on_clearance)
-        refresh = None if live is None else live.watch(node, mode)
+        refresh = None if onlooker is None else onlooker.watch(node, mode)
         while nodes[-1].process.poll() is None:
-            executor.spin_once(timeout_sec=0.1)
-            if refresh is not None:
-                refresh()
+            executor.spin_once(timeout_sec=0.05)
+            if refresh is not None and refresh():
+                changed_at = time.monotonic()
             for each in nodes:
                 each.require_well()
             if time.monotonic() - changed_at > STALL_TIMEOUT_S:

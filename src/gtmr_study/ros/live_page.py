@@ -29,6 +29,7 @@ from gtmr_model import Tower
 from gtmr_monitor.report import look
 from gtmr_msgs_py.contract import BASE_LINK, MAP
 from gtmr_msgs_py.messages import markers
+from gtmr_study.ros.live_panel import Panel
 from gtmr_study.ros.live_status import LEGEND, Standing, status
 
 LOOPBACK = "127.0.0.1"
@@ -41,12 +42,24 @@ PANEL_WIDTH_PX = 430
 CURVE_HEIGHT_PX = 230
 RESIDUAL_RANGE_M = (-0.3, 0.05)
 """What the curve shows at least [m]."""
-CAMERA_M = (3.2, -2.5, 1.5)
+CAMERA_M = (3.6, -2.9, 1.6)
 LOOK_AT_M = (0.95, 0.0, 0.0)
 """Camera and its target, seen from the tower's axis at the vehicle's height, x outwards [m]."""
 JOINTS_EVERY_M = 1.0
 SEAMS = 8
 """Joints around the tower and seams along it, so that one sees the vehicle move."""
+WEATHER_ABOVE_M = 0.75
+"""How far above the vehicle the axes of the world and the wind are [m]."""
+WORLD_AXES_M, BODY_AXES_M = 0.25, 0.3
+WIND_M_PER_N = 0.8
+"""Length of the wind's arrow [m/N]."""
+WIND_COLOR = (0, 0, 0)
+SHELLS = ("d_min", "tightened")
+"""Namespaces of what is around the whole tower."""
+NARROW_PX = 600
+"""Width of a window that leaves no room for the panel beside the scene."""
+FARTHER, LOWER_M = 1.5, np.array([0.0, 0.0, -0.9])
+"""How far the camera stands back then, and how much lower it looks [m]."""
 JOINT_COLOR = (150, 150, 146)
 
 
@@ -71,6 +84,7 @@ class LivePage:
         atexit.register(self.stop)
         self._furnish()
         self._lay_out()
+        self._server.on_client_connect(self._fit)
 
     @property
     def url(self) -> str:
@@ -123,6 +137,15 @@ class LivePage:
             world.position = (0.0, 0.0, -at.z)
             vehicle.wxyz = (turned.w, turned.x, turned.y, turned.z)
             vehicle.position = (at.x, at.y, at.z)
+            # Outside of the propellers, where nothing covers them.
+            self._weather.position = (at.x, at.y, at.z + WEATHER_ABOVE_M)
+
+    def blow(self, force_n: Sequence[float]) -> None:
+        """Show the steady wind as an arrow above the vehicle: a force in `map` [N]."""
+        tip = WIND_M_PER_N * np.asarray(force_n, dtype=float)
+        if np.linalg.norm(tip) < 0.01:
+            tip = np.array([0.0, 0.0, 0.01])
+        self._wind.points = np.array([[np.zeros(3), tip]], dtype=np.float32)
 
     def add_residual(self, mode: str, time_s: float, residual_m: float) -> None:
         """Note a residual s [m] at a time [s] since the start; ``show`` shows it."""
@@ -158,8 +181,32 @@ class LivePage:
         camera.fov = math.radians(45.0)
         self._frames = {
             MAP: scene.add_frame(f"/{MAP}", show_axes=False),
-            BASE_LINK: scene.add_frame(f"/{MAP}/{BASE_LINK}", show_axes=False),
+            BASE_LINK: scene.add_frame(
+                f"/{MAP}/{BASE_LINK}", axes_length=BODY_AXES_M, axes_radius=0.008
+            ),
         }
+        self._weather = scene.add_frame(
+            f"/{MAP}/weather", axes_length=WORLD_AXES_M, axes_radius=0.008
+        )
+        for axis, at in zip("xyz", np.eye(3), strict=True):
+            scene.add_label(f"/{MAP}/weather/{axis}", axis, position=1.2 * WORLD_AXES_M * at)
+        self._wind = scene.add_arrows(
+            f"/{MAP}/weather/wind",
+            points=np.zeros((1, 2, 3), dtype=np.float32),
+            colors=np.array(WIND_COLOR, dtype=np.uint8),
+            shaft_radius=0.015,
+            head_radius=0.04,
+            head_length=0.08,
+        )
+
+    def _fit(self, client: viser.ClientHandle) -> None:
+        """Frame the vehicle in what the panel leaves free, if the window is as narrow as a phone.
+
+        There the page has its panel in front of the lower part of the scene.
+        """
+        if client.camera.image_width < NARROW_PX:
+            client.camera.position = tuple(FARTHER * np.array(CAMERA_M) + LOWER_M)
+            client.camera.look_at = tuple(np.array(LOOK_AT_M) + LOWER_M)
 
     def _lay_out(self) -> None:
         """Set up the panel at the side."""
@@ -188,6 +235,7 @@ class LivePage:
             height=CURVE_HEIGHT_PX,
         )
         gui.add_html(LEGEND)
+        self.panel = Panel(gui, self._duration_s, list(self._curves))
         self._follow = gui.add_checkbox(
             "Follow", True, hint="Turn the world so that the vehicle stays in sight"
         )
@@ -218,7 +266,9 @@ class LivePage:
     def _add(self, name: str, marker: Marker, properties: dict[str, Any]) -> Any:
         scene = self._server.scene
         if marker.type == Marker.CYLINDER:
-            return scene.add_cylinder(name, 0.5, 1.0, radial_segments=96, **properties)
+            # Of a shell around the tower the far side is enough, and does not tint the tower.
+            side: Any = "back" if marker.ns in SHELLS else "front"
+            return scene.add_cylinder(name, 0.5, 1.0, radial_segments=96, side=side, **properties)
         if marker.type == Marker.CUBE:
             return scene.add_box(name, dimensions=(1.0, 1.0, 1.0), **properties)
         if marker.type == Marker.ARROW:

@@ -77,22 +77,27 @@ def _swatch(colour: str, opacity: float = 1.0) -> str:
 
 
 _STYLE = """<style>
-.gtmr { font: 14px/1.45 system-ui, "Segoe UI", Arial, sans-serif; padding: 2px 16px 2px 6px;
+.gtmr { container-type: inline-size; padding: 2px 16px 2px 6px;
+  font: 14px/1.45 system-ui, "Segoe UI", Arial, sans-serif;
   font-variant-numeric: tabular-nums; }
 .gtmr i { display: inline-block; width: .75em; height: .75em; border-radius: 2px;
   margin-right: .5em; }
-.gtmr .head { display: flex; justify-content: space-between; font-size: 16px; }
+.gtmr .head { display: flex; flex-wrap: wrap; justify-content: space-between;
+  font-size: 16px; }
+.gtmr .head span { white-space: nowrap; }
 .gtmr .bar { height: 4px; border-radius: 2px; background: #e3e3e3; margin: 6px 0 12px; }
 .gtmr .bar div { height: 100%; border-radius: 2px; }
 .gtmr .tiles { display: grid; grid-template-columns: repeat(3, 1fr); gap: 8px;
   color: #6b6b6b; font-size: 12px; }
-.gtmr .tiles b { display: block; font-size: 22px; font-weight: 600; color: #1a1a1a; }
+.gtmr .tiles b { display: block; white-space: nowrap; font-weight: 600;
+  font-size: clamp(15px, 7cqw, 22px); color: #1a1a1a; }
 .gtmr table { width: 100%; border-collapse: collapse; margin: 12px 0 4px; }
 .gtmr th, .gtmr td { text-align: left; font-weight: 400; padding: 3px 0; }
 .gtmr thead th { color: #6b6b6b; font-size: 12px; }
 .gtmr tbody tr { border-top: 1px solid #e3e3e3; }
 .gtmr .bad, .gtmr .tiles b.bad { color: #a33c00; }
-.gtmr ul { display: grid; grid-template-columns: 1fr 1fr; gap: 2px 12px; list-style: none;
+.gtmr ul { display: grid; grid-template-columns: repeat(auto-fit, minmax(11.5em, 1fr));
+  gap: 2px 12px; list-style: none;
   margin: 0; padding: 0; font-size: 13px; }
 </style>"""
 
@@ -102,14 +107,16 @@ def _css(color: markers.Color) -> str:
 
 
 _KEYS = (
-    ("tower", look.TOWER, 1.0),
+    ("tower", _css(markers.CONCRETE), 1.0),
     ("reference", look.QUIET, 1.0),
     ("keep-out shell", _css(markers.FORBIDDEN), 0.5),
     ("thrust", _css(markers.THRUST), 1.0),
-    ("tightened shells, plan", look.MODE_COLOURS["robust"], 1.0),
+    ("shells, plan: robust", look.MODE_COLOURS["robust"], 1.0),
     ("clockwise rotors", _css(markers.CLOCKWISE), 1.0),
-    ("the same, nominal", look.MODE_COLOURS["nominal"], 1.0),
+    ("shells, plan: nominal", look.MODE_COLOURS["nominal"], 1.0),
     ("counter-clockwise", _css(markers.COUNTER_CLOCKWISE), 1.0),
+    ("steady wind", "#000000", 1.0),
+    ("shells, plan: offset_free", look.MODE_COLOURS["offset_free"], 1.0),
 )
 LEGEND = (
     f'{_STYLE}<div class="gtmr"><ul>'

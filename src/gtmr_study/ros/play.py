@@ -110,17 +110,17 @@ def play(
     ``stop`` ends the playback when it is set. A KeyboardInterrupt would do so too, but is lost
     where it falls into a callback from C. What a user should know is returned, one sentence each.
 
-    Raises BagError if a message type of the playlist is not installed.
+    Raises BagError if none of the message types of the playlist is installed.
     """
     stop = stop if stop is not None else Event()
-    messages = {}
+    messages, missing = {}, set()
     for name, kind in playlist.types.items():
         try:
             messages[name] = topics.message_class(kind)
         except ImportError:
-            raise BagError(
-                f"{playlist.path}: {kind} is not installed, so cannot be played"
-            ) from None
+            missing.add(kind)
+    if not messages:
+        raise BagError(f"{playlist.path}: {', '.join(sorted(missing))}: not installed")
     with _node() as node:
         publishers = {
             name: node.create_publisher(message, name, topics.OFFERED)
@@ -131,13 +131,15 @@ def play(
             clock = node.create_publisher(Clock, topics.CLOCK.name, topics.OFFERED)
         needed = (topics.ODOM.type_name, topics.ROTOR_STATES.type_name)
         awaited = [publishers[name] for name, kind in playlist.types.items() if kind in needed]
-        notes = []
+        notes = [f"{kind} is not installed: not played" for kind in sorted(missing)]
         unheard = _wait_for_listeners(awaited, wait_s, stop)
         if unheard:
             notes.append(f"nobody listened at the start to {', '.join(unheard)}")
         while True:
             begin = time.monotonic()
             for message in playlist.messages():
+                if message.topic not in publishers:
+                    continue
                 into_s = stamps.seconds(message.log_time_ns - playlist.start_ns)
                 if stop.wait(max(0.0, begin + into_s / rate - time.monotonic())):
                     break
