@@ -41,7 +41,7 @@ from gtmr_model import ConfigError, Vehicle
 from gtmr_monitor.node import MonitorParameters
 from gtmr_nmpc import ControllerConfig
 from gtmr_nmpc.node import NmpcParameters
-from gtmr_sim import World
+from gtmr_sim import EFFECTS, GUSTS, World
 from gtmr_sim.node import SimParameters
 from gtmr_study.campaign.study import Study
 from gtmr_study.cli.app import MODULES, Commands
@@ -77,6 +77,9 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
     mpl.use("agg")
+    # What a page registers is for its readers, not for the tests after it.
+    for registry in (GUSTS, EFFECTS):
+        monkeypatch.setattr(registry, "_registered", dict(registry._registered))
     return tmp_path
 
 

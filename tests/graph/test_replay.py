@@ -176,10 +176,10 @@ def test_an_odometry_that_comes_late_changes_no_step_and_is_told(gtmr, tmp_path)
     run = gtmr("replay", copied(SAMPLE, tmp_path / "bag", swapped), "--json", out)
 
     result = json.loads(out.read_text())
-    assert result["steps"] == replay(read_recording(SAMPLE)).result()["steps"] == 401
+    assert result["steps"] == replay(read_recording(SAMPLE)).result()["steps"] == 841
     assert result["max_abs_command_difference"] <= 1e-6
     assert result["late_messages"] == {"odom": 1}
-    assert "1 of 401 odom messages came late" in " ".join(result["notes"])
+    assert f"1 of {1 + 840 * ODOM_A_STEP} odom messages came late" in " ".join(result["notes"])
     assert "came late" in run.stdout
 
 
@@ -223,8 +223,8 @@ def test_a_damaged_bag_is_replayed_behind_the_damage_and_says_what_it_covers(gtm
     coverage = result["coverage"]
     assert coverage["causes"] == {"damaged chunk": 1}
     assert coverage["lost_messages"]["/odom"] > 0
-    assert coverage["covered_s"] < coverage["expected_s"] == pytest.approx(10.0)
-    assert result["steps"] == 401 - coverage["lost_messages"]["/odom"]
+    assert coverage["covered_s"] < coverage["expected_s"] == pytest.approx(21.0)
+    assert result["steps"] == 841 - coverage["lost_messages"]["/odom"] // ODOM_A_STEP
 
 
 def test_a_recording_begun_late_says_which_parameters_it_guessed(gtmr, tmp_path):

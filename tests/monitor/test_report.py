@@ -316,7 +316,7 @@ from gtmr_monitor import BagWriter, read_flight, read_messages
 with BagWriter(sys.argv[1]) as bag:
     bag.add_topic("/odom", "nav_msgs/msg/Odometry")
 assert list(read_messages(sys.argv[1])) == []
-assert read_flight(sys.argv[2]).mode == "robust"
+assert read_flight(sys.argv[2]).vehicle is not None
 """
 
 
