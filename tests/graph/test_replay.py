@@ -38,6 +38,8 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 EXACT = 1e-9
 """[Hz/s]"""
 UNIX_NS = 1_750_000_000 * 10**9
+ODOM_A_STEP = 5
+"""Odometry messages a step in the sample bag: 200 Hz, with T_s of 25 ms."""
 
 
 def leaving_out(topic):
