@@ -105,6 +105,8 @@ html_show_search_summary = False
 html_show_sourcelink = False
 html_copy_source = False
 html_context = {"default_mode": "auto"}
+# Pages without others below them need no menu of these.
+html_sidebars = {page: [] for page in ("start", "faq", "changelog")}
 html_theme_options = {
     "logo": {"text": "gtmr"},
     "navbar_align": "left",
