@@ -105,8 +105,8 @@ MUTATIONS = [
     ),
     (
         "src/gtmr_nmpc/controller.py",
-        ".max() < math.pi / 2",
-        ".max() < math.inf",
+        "abs(angle) < math.pi / 2",
+        "abs(angle) < math.inf",
         CONTROLLER + "a_plan_that_turns_over_does_not_turn_the_next_command_around",
     ),
     (

@@ -190,7 +190,11 @@ class Controller:
             setpoints_hz=setpoints_hz,
             margin_scale=max(blend.margin_scale, blend.offset_free_scale),
             timing=Timing(prepare_s, feedback_s),
-            **plan._asdict(),
+            x_plan=plan.x_plan,
+            u_plan=plan.u_plan,
+            tightening=plan.tightening,
+            slack=plan.slack,
+            status=plan.status,
         )
 
     def step(self, t: float, x: ArrayLike, now: float | None = None) -> Solution:
@@ -314,7 +318,9 @@ class Controller:
         """
         tower = self.config.tower
         reaches_axis = plan.slack.max() > tower.radius_m + tower.min_clearance_m
-        return bool(not reaches_axis and np.abs(plan.x_plan[:, PITCH]).max() < math.pi / 2)
+        pitch = plan.x_plan[:, PITCH].tolist()
+        turns_over = not all(abs(angle) < math.pi / 2 for angle in pitch)
+        return not reaches_axis and not turns_over
 
     def _warm(self, t: float) -> bool:
         """Start from the last plan, if it reaches time t and is fit for it."""
@@ -330,10 +336,13 @@ class Controller:
         state = np.array(x, dtype=float)
         if state.shape != (self.config.vehicle.n_x,):
             raise ValueError(f"x has shape {state.shape}, expected ({self.config.vehicle.n_x},)")
-        if not np.isfinite(state).all():
+        # A sum is finite where all are, and faster than a look at each.
+        if not math.isfinite(sum(state.tolist())):
             raise ValueError(f"x is not finite: {state}")
         facing = self.config.helix.facing(t, self.config.tower)
-        state[YAW] += math.tau * round((facing - state[YAW]) / math.tau)
+        turns = round((facing - float(state[YAW])) / math.tau)
+        if turns != 0:
+            state[YAW] += math.tau * turns
         return state
 
 

@@ -115,7 +115,7 @@ class CompiledIteration:
         self._observes = False
         library.gtmr_create(self._controller, ctypes.byref(self._parameters()))
 
-        self._no_noise = np.zeros(n + 1)
+        self._eps_s = self._no_noise = np.zeros(n + 1)
         self._x = np.zeros(n_x)
         self._x_address = ctypes.c_void_p(self._x.ctypes.data)
         self._plan = np.zeros(library.gtmr_plan_length())
@@ -160,7 +160,9 @@ class CompiledIteration:
 
     def prepare(self, t: float, margin_scale: float) -> None:
         """See `Iteration.prepare`."""
-        self._eps_s = np.full(self._config.horizon + 1, margin_scale * self._config.eps_s_m)
+        eps_s_m = margin_scale * self._config.eps_s_m
+        if self._eps_s[0] != eps_s_m:
+            self._eps_s = np.full(self._config.horizon + 1, eps_s_m)
         self._given: Tightening | None = None
         self._library.gtmr_prepare(
             self._controller, ctypes.c_double(t), ctypes.c_double(margin_scale)

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from gtmr_nmpc.config import Mode, Weights
+from gtmr_nmpc.config import MODES, Mode, Weights
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,9 @@ class Blend:
 
     def towards(self, mode: Mode, most: float) -> Blend:
         """Go on to a mode, each share by ``most`` at most."""
-        due = Blend.of(mode)
+        due = WHOLLY[mode]
+        if self == due:
+            return due
         return Blend(
             self.robust + min(max(due.robust - self.robust, -most), most),
             self.offset_free + min(max(due.offset_free - self.offset_free, -most), most),
@@ -47,6 +49,10 @@ class Blend:
     def offset_free_scale(self) -> float:
         """How much of the estimates, weights and margins of ``offset_free`` applies."""
         return _gently(self.offset_free)
+
+
+WHOLLY = {mode: Blend.of(mode) for mode in MODES}
+"""Every mode wholly in force."""
 
 
 def _gently(progress: float) -> float:
