@@ -8,6 +8,7 @@
 
 """A report says what the flights say, in one file that needs nothing else."""
 
+import itertools
 import subprocess
 import sys
 from dataclasses import replace
@@ -21,6 +22,7 @@ from support.pages import needs_chromium, opened, require_for_everybody, wait_un
 from support.written_bags import SAMPLE
 
 from gtmr_model import Helix, Tower, Vehicle
+from gtmr_monitor.bag.flight import read_flight
 from gtmr_monitor.bag.format import BagError
 from gtmr_monitor.coverage import Coverage
 from gtmr_monitor.flight import Flight, MarginHistory
@@ -372,3 +374,20 @@ def test_an_hour_of_flight_keeps_its_least_clearance_and_stays_small(tmp_path):
         assert browser.evaluate(least) == pytest.approx(0.1234, abs=1e-6)
         assert browser.evaluate("+document.documentElement.dataset.drawnMs") < 40_000.0
         assert browser.complaints == []
+
+
+def test_a_path_has_the_colours_of_the_modes_that_flew_it():
+    flight = read_flight(SAMPLE)
+    (line,) = look.lines([flight])
+
+    pieces = look.by_mode([(flight, line)])
+
+    assert [own.label for _, own in pieces] == ["nominal", "robust", "offset_free"]
+    assert len({own.colour for _, own in pieces}) == 3
+    assert [piece.t[0] for piece, _ in pieces[1:]] == pytest.approx([7.0, 14.0], abs=0.05)
+    # Nothing is left out between them, and the whole is there.
+    for (before, _), (after, _) in itertools.pairwise(pieces):
+        assert before.t[-1] >= after.t[0]
+    assert (pieces[0][0].t[0], pieces[-1][0].t[-1]) == (flight.t[0], flight.t[-1])
+    # A flight in one mode stays as it is.
+    assert look.by_mode([pieces[0]]) == [pieces[0]]

@@ -9,7 +9,7 @@
 """What the figures on paper and in the browser have in common: colours, labels, channels."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -166,6 +166,33 @@ def lines(flights: Sequence[Flight]) -> list[Line]:
         width_px = _WIDTHS_PX.get(key, 1.9)
         result.append(Line(label, key, DASHES[number % len(DASHES)], width_px))
     return result
+
+
+def by_mode(flown: Flown) -> Flown:
+    """Cut flights where their mode was switched, each piece in the colour of its mode.
+
+    For paths in space alone: a piece has times, position and attitude of its own, no more.
+    """
+    pieces = []
+    for flight, line in flown:
+        if len(flight.modes) < 2:
+            pieces.append((flight, line))
+            continue
+        ends = [*(begin for begin, _ in flight.modes[1:]), np.inf]
+        for (begin, mode), end in zip(flight.modes, ends, strict=True):
+            # Pieces share a sample, so that there is no gap between them.
+            first = max(int(np.searchsorted(flight.t, begin, "right")) - 1, 0)
+            here = slice(first, int(np.searchsorted(flight.t, end, "right")))
+            piece = replace(
+                flight, t=flight.t[here], p=flight.p[here], eta=flight.eta[here],
+                modes=((begin, mode),),
+            )  # fmt: skip
+            if len(piece.t) < 2:
+                continue
+            label = mode if line.label == flight.mode else f"{line.label}: {mode}"
+            key, width_px = mode_key(mode), _WIDTHS_PX.get(mode_key(mode), line.width_px)
+            pieces.append((piece, replace(line, label=label, key=key, width_px=width_px)))
+    return pieces
 
 
 def stacked(flown: Flown) -> Flown:

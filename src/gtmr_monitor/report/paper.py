@@ -32,7 +32,7 @@ _LIMIT: dict[str, Any] = {"color": look.LIMIT, "linestyle": (0, (4, 2)), "linewi
 
 def trajectory(flown: Flown) -> Figure:
     """Draw the flights around the tower, in space and from above."""
-    flown = look.stacked(look.moved(flown))
+    flown = look.stacked(look.by_mode(look.moved(flown)))
     figure = new_figure(9.0, 5.0)
     grid = figure.add_gridspec(1, 2, width_ratios=(1.25, 1.0))
     space = figure.add_subplot(grid[0], projection="3d", computed_zorder=False)

@@ -26,7 +26,7 @@ _ELEVATION_DEG = 24.0
 
 def trajectory(flown: Flown) -> list[Chart]:
     """Draw the flights around the tower: in space, and from above."""
-    flown = look.stacked(look.moved(flown))
+    flown = look.stacked(look.by_mode(look.moved(flown)))
     return [
         Chart(_in_space(flown), "Flights around the tower, in space", "In space", share=1.1),
         Chart(_from_above(flown), "Flights around the tower, from above", "From above"),
