@@ -73,7 +73,7 @@ setup(
         "calibrate": ["cmaes>=0.11", "optuna"],
         # The site.
         "docs": ["myst-parser", "numpydoc", "pydata-sphinx-theme", "sphinx"],
-        "test": ["hypothesis", "pytest", "pytest-xdist"],
+        "test": ["hypothesis", "piqp", "pytest", "pytest-xdist"],
         "dev": [
             "colcon-bash",
             "colcon-output",

@@ -10,7 +10,7 @@
 """Time of the C step against that of another commit: ``python bench/c_step --against COMMIT``.
 
 Both are built here and driven along the same recorded states in turns; of every step the least
-time counts. Takes about two minutes.
+time counts. Takes about two minutes. With ``--json FILE`` its figures are for docs/performance.py.
 """
 
 import argparse
@@ -23,12 +23,16 @@ import numpy as np
 
 from gtmr_codegen.library import FLAGS
 from gtmr_nmpc import ControllerConfig
-from gtmr_study.rivals.bench import machine, record_situations
+from gtmr_study.result_files import InputError, require_folder_of, write_json
+from gtmr_study.rivals.bench import machine
+from gtmr_study.rivals.situations import record_situations
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 KINDS = (("nominal", 0.0, "frozen"), ("robust", 1.0, "frozen"), ("gradient", 1.0, "gradient"))
 """Name, margin scale, tightening."""
+PERCENTILES = (50.0, 99.0, 99.9)
+"""Of the steps of a situation, told of both builds."""
 
 
 def build(source: Path, folder: Path) -> Path:
@@ -71,8 +75,14 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=2000, help="of each situation")
     parser.add_argument("--turns", type=int, default=4, help="of the two builds")
     parser.add_argument("--repeats", type=int, default=5, help="of each step and turn")
+    parser.add_argument("--json", type=Path, help="where the figures go")
     given = parser.parse_args()
-    print(machine())
+    try:
+        require_folder_of("--json", given.json)
+    except InputError as error:
+        parser.error(str(error))
+    result = {"machine": machine(), "against": given.against, "steps": given.steps, "c_step": {}}
+    print(result["machine"])
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         old = folder / "checkout"
@@ -92,9 +102,9 @@ def main() -> None:
                     for _ in range(given.turns)
                 ]
                 least = np.min([[run[:, :4] for run in turn] for turn in runs], axis=0)
-                then, now = 1e-3 * np.percentile(least[:, 20:, 0], (50, 99, 99.9), axis=1).T
+                then, now = 1e-3 * np.percentile(least[:, 20:, 0], PERCENTILES, axis=1).T
                 phases = 1e-3 * np.median(least[1, 20:, 1:], axis=0)
-                differs = np.abs(runs[0][0][:, 5] - runs[0][1][:, 5]).max()
+                differs = float(np.abs(runs[0][0][:, 5] - runs[0][1][:, 5]).max())
                 figures = (
                     "".join(f"{v:9.1f}" for v in then)
                     + "  "
@@ -103,6 +113,13 @@ def main() -> None:
                 )
                 print(f"{situation.name + ', ' + kind:24}{figures}   "
                       + "".join(f"{v:7.1f}" for v in phases) + f"   {differs:.1e}")  # fmt: skip
+                result["c_step"].setdefault(situation.name, {})[kind] = {
+                    "then_us": then.tolist(),
+                    "now_us": now.tolist(),
+                    "phases_us": phases.tolist(),
+                    "difference_hz_s": differs,
+                }
+    write_json(given.json, result)
 
 
 if __name__ == "__main__":

@@ -155,7 +155,7 @@ OPTIONS = {
     "demo": ("--duration", "--modes"),
     "replay": ("--mode", "--controller", "--vehicle"),
     "play": ("--rate", "--wait"),
-    "bench": ("--steps", "--rival-steps"),
+    "bench": ("--steps", "--rival-steps", "--qp-steps"),
     "calibrate": ("--target", "--sets", "--trials", "--duration", "--seed", "--workers"),
 }  # fmt: skip
 # None of them is a value that any option takes.

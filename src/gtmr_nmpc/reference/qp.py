@@ -9,6 +9,7 @@
 """The condensed QP: hard limits on the rotors, an exact penalty on the clearance."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import daqp
 import numpy as np
@@ -20,6 +21,23 @@ UNBOUNDED = 1e30
 """What DAQP takes for infinity."""
 OPTIMAL = 1
 """DAQP's exit flag of a solved problem."""
+PRIMAL_TOLERANCE = 1e-9
+"""By how much DAQP may break a bound, in its units."""
+
+
+class DaqpProblem(NamedTuple):
+    """A QP as DAQP takes it: bounds of the variables first, then of the rows."""
+
+    hessian: Array
+    """Shape (n, n)."""
+    gradient: Array
+    """Shape (n,)."""
+    rows: Array
+    """Shape (m, n)."""
+    upper: Array
+    """Shape (n + m,)."""
+    lower: Array
+    """Shape (n + m,)."""
 
 
 @dataclass(frozen=True)
@@ -73,22 +91,18 @@ class CondensedQp:
             return hard
         return self._solve_soft()
 
-    def _solve_hard(self) -> QpSolution | None:
-        n, k = len(self.gradient), len(self.clearance_upper)
-        minimiser, _, flag, info = daqp.solve(
+    def hard(self) -> DaqpProblem:
+        """State it with the clearance as hard rows, in du alone."""
+        return DaqpProblem(
             self.hessian,
             self.gradient,
             np.vstack([self.speed_rows, self.clearance_rows]),
             np.r_[self.input_upper, self.speed_upper, self.clearance_upper],
-            np.r_[self.input_lower, self.speed_lower, np.full(k, -UNBOUNDED)],
-            primal_tol=1e-9,
+            np.r_[self.input_lower, self.speed_lower, self._no_lower_clearance],
         )
-        if flag != OPTIMAL:
-            return None
-        multipliers = info["lam"][n + len(self.speed_upper) :]
-        return QpSolution(du=minimiser, slack=np.zeros(k), multipliers=multipliers)
 
-    def _solve_soft(self) -> QpSolution | None:
+    def soft(self) -> DaqpProblem:
+        """State it with a slack for each clearance row, in du and slacks."""
         n, m, k = len(self.gradient), len(self.speed_upper), len(self.clearance_upper)
         hessian = np.zeros((n + k, n + k))
         hessian[:n, :n] = self.hessian
@@ -97,18 +111,29 @@ class CondensedQp:
         rows[:m, :n] = self.speed_rows
         rows[m:, :n] = self.clearance_rows
         rows[m:, n:] = -np.eye(k)
-        minimiser, _, flag, info = daqp.solve(
+        return DaqpProblem(
             hessian,
             np.r_[self.gradient, np.full(k, self.slack_l1)],
             rows,
             np.r_[self.input_upper, np.full(k, UNBOUNDED), self.speed_upper, self.clearance_upper],
-            np.r_[self.input_lower, np.zeros(k), self.speed_lower, np.full(k, -UNBOUNDED)],
-            primal_tol=1e-9,
+            np.r_[self.input_lower, np.zeros(k), self.speed_lower, self._no_lower_clearance],
         )
+
+    @property
+    def _no_lower_clearance(self) -> Array:
+        return np.full(len(self.clearance_upper), -UNBOUNDED)
+
+    def _solve_hard(self) -> QpSolution | None:
+        minimiser, _, flag, info = daqp.solve(*self.hard(), primal_tol=PRIMAL_TOLERANCE)
         if flag != OPTIMAL:
             return None
-        return QpSolution(
-            du=minimiser[:n],
-            slack=np.maximum(minimiser[n:], 0.0),
-            multipliers=info["lam"][n + k + m :],
-        )
+        n, m, k = len(self.gradient), len(self.speed_upper), len(self.clearance_upper)
+        return QpSolution(du=minimiser, slack=np.zeros(k), multipliers=info["lam"][n + m :])
+
+    def _solve_soft(self) -> QpSolution | None:
+        minimiser, _, flag, info = daqp.solve(*self.soft(), primal_tol=PRIMAL_TOLERANCE)
+        if flag != OPTIMAL:
+            return None
+        n, m, k = len(self.gradient), len(self.speed_upper), len(self.clearance_upper)
+        slack = np.maximum(minimiser[n:], 0.0)
+        return QpSolution(du=minimiser[:n], slack=slack, multipliers=info["lam"][n + k + m :])

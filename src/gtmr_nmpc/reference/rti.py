@@ -212,6 +212,16 @@ class RealTimeIteration:
         The preparation is for the time of x, whose yaw is within pi of the iterate's. Gives the
         new iterate and the slack of stages 1..N [m]; None if the QP solver gave up.
         """
+        solution = self.condensed(prep, x).solve()
+        if solution is None:
+            return None
+        dx0 = x - prep.iterate.x[0]
+        dx = prep.dx_du @ solution.du + prep.dx_dx0 @ dx0 + prep.defect
+        du = solution.du.reshape(self.config.horizon, -1)
+        return Trajectory(x=prep.iterate.x + dx, u=prep.iterate.u + du), solution.slack
+
+    def condensed(self, prep: Preparation, x: Array) -> CondensedQp:
+        """State the QP for the measured state, shape (12 + N_p,), with arguments of `feedback`."""
         n, vehicle = self.config.horizon, self.config.vehicle
         dx0 = x - prep.iterate.x[0]
         u = prep.iterate.u.ravel()
@@ -223,7 +233,7 @@ class RealTimeIteration:
         highest = np.maximum(vehicle.max_rotor_speed_hz, x[ROTORS] - reach)
         planned = x[ROTORS] + (self._speed_rows @ u).reshape(n, -1)
 
-        solution = CondensedQp(
+        return CondensedQp(
             hessian=prep.hessian,
             gradient=prep.gradient + prep.gradient_dx0 @ dx0,
             input_lower=-limit - u,
@@ -235,12 +245,7 @@ class RealTimeIteration:
             clearance_upper=-(prep.clearance_residual + prep.clearance_dx0 @ dx0),
             slack_l1=self.config.slack_l1,
             slack_l2=self.config.slack_l2,
-        ).solve()
-        if solution is None:
-            return None
-        dx = prep.dx_du @ solution.du + prep.dx_dx0 @ dx0 + prep.defect
-        du = solution.du.reshape(n, -1)
-        return Trajectory(x=prep.iterate.x + dx, u=prep.iterate.u + du), solution.slack
+        )
 
     def _margin_gradient(self, iterate: Trajectory, a: Array, pi: Array) -> tuple[Array, Array]:
         """Differentiate alpha_p,i = J_yx(x_i) Pi_i s_i with the signs s_i held."""

@@ -19,11 +19,13 @@ from gtmr_study.result_files import require_folder_of, write_json
 from gtmr_study.rivals.bench import (
     CONTROLLERS,
     machine,
+    make_qp_rivals,
     make_rivals,
-    record_situations,
     time_controller,
     time_rivals,
 )
+from gtmr_study.rivals.qp import MODES, time_qp_rivals
+from gtmr_study.rivals.situations import Situation, record_situations
 
 COLUMNS = ("median", "p99", "p99.9", "max")
 WORDS = {
@@ -40,6 +42,10 @@ WORDS = {
     "prepare": "Median of what is done before the state is known [ms].",
     "feedback": "Median of what is done from the state to the command [ms].",
     "ratio": "Median relative to that of the suite's nominal step.",
+    "QP solver": "Likewise what solves the QP of that mode's steps, besides the suite.",
+    "ratio p99.9": "The same of the 99.9th percentiles.",
+    "difference": "The most that a first input differs from the suite's [Hz/s].",
+    "gave up": "QPs that the solver did not solve.",
     "cost gap": "Cost of the solver's plan relative to that of the best one, minus 1.",
 }
 """What the columns are."""
@@ -53,11 +59,15 @@ def bench_command(
     rival_steps: Annotated[
         int, option("N", "Steps of general solvers a situation; 0: none.", "40", min=0)
     ] = 40,
+    qp_steps: Annotated[
+        int, option("N", "Steps of QP solvers a situation; 0: none.", "1000", min=0)
+    ] = 1000,
     json: JsonOption = None,
 ) -> None:
     """Time a controller step, and what a user would pick instead, on the same states."""
     require_folder_of("--json", json)
     result: dict[str, Any] = {"machine": machine(), "steps": steps, "controller": {}, "rivals": {}}
+    result["qp"] = {}
     situations = record_situations(steps)
     table = new_table("controller", *COLUMNS, "prepare", "feedback", "ratio")
     for situation in situations:
@@ -76,6 +86,8 @@ def bench_command(
     console.print(result["machine"])
     console.print("Step of the controller, called from Python [ms]", markup=False)
     console.print(table)
+    if qp_steps:
+        result["qp"] = _qp_solvers(situations, qp_steps)
     if rival_steps:
         rivals = new_table("solver", "median", "max", "ratio", "cost gap")
         contenders = make_rivals(ControllerConfig())
@@ -94,3 +106,28 @@ def bench_command(
         console.print("Nominal step of general solvers [ms]", markup=False)
         console.print(rivals)
     write_json(json, result)
+
+
+def _qp_solvers(situations: list[Situation], steps: int) -> dict[str, Any]:
+    """Time QP solvers, and print a table of them; by mode, situation and solver."""
+    table = new_table("QP solver", *COLUMNS, "ratio", "ratio p99.9", "difference", "gave up")
+    told: dict[str, Any] = {}
+    rivals = make_qp_rivals(ControllerConfig())
+    for mode in MODES:
+        told[mode] = {}
+        for situation in situations:
+            figures = time_qp_rivals(situation, mode, steps, rivals)
+            told[mode][situation.name] = figures
+            table.add_row(Text(f"{situation.name}, {mode}"))
+            for name, figure in figures.items():
+                table.add_row(
+                    Text(f"  {name}"),
+                    *(f"{figure[column]:.3f}" for column in COLUMNS),
+                    f"{figure['ratio']:.1f}",
+                    f"{figure['ratio p99.9']:.1f}",
+                    *(f"{figure[column]:.1g}" if column in figure else ""
+                      for column in ("difference", "gave up")),
+                )  # fmt: skip
+    console.print("The QP alone by QP solvers, and the whole step of gtmr [ms]", markup=False)
+    console.print(table)
+    return told
