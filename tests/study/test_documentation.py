@@ -88,3 +88,23 @@ def test_the_page_of_worlds_says_what_was_measured():
     assert module["page"](text, kept) == text
     flown = [told for told in kept.values() if told.get("mode") == "offset_free"]
     assert len(flown) >= 7
+
+
+def test_a_measurement_that_lacks_a_solver_is_not_published(tmp_path):
+    module = runpy.run_path(str(ROOT / "docs" / "performance.py"))
+    few, other = tmp_path / "few.json", tmp_path / "other.json"
+    few.write_text('{"controller": {}, "rivals": {}, "qp": {}}', encoding="utf-8")
+    other.write_text("{}", encoding="utf-8")
+    for file, said in ((few, "PIQP"), (other, "neither")):
+        with pytest.raises(SystemExit, match=said):
+            module["keep"]({}, file)
+
+
+def test_the_pages_say_of_speed_what_was_measured():
+    module = runpy.run_path(str(ROOT / "docs" / "performance.py"))
+    kept = json.loads(module["KEPT"].read_text(encoding="utf-8"))
+    made = module["pages"](kept)
+    assert set(made) == {ROOT / "docs" / "performance.md", ROOT / "README.md"}
+    for page, text in made.items():
+        assert text == page.read_text(encoding="utf-8"), page
+    assert {"DAQP", "PIQP"} < set(kept["bench"]["qp"]["robust"]["recovery"])
