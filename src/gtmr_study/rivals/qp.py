@@ -78,7 +78,7 @@ def time_qp_rivals(
     """
     config = ControllerConfig()
     recorded = record_steps(Situation(situation.name, situation.steps[:steps]), config, mode)
-    figures = {"gtmr": percentiles([step.seconds for step in recorded[1:]])}
+    figures = {"gtmr": percentiles([step.seconds for step in recorded[1:] or recorded])}
     for name, rival in rivals.items():
         seconds, difference, gave_up = [], 0.0, 0
         for step in recorded:
@@ -91,7 +91,7 @@ def time_qp_rivals(
                 continue
             seconds.append(taken_s)
             difference = max(difference, float(np.abs(u - step.solution.u).max()))
-        figures[name] = percentiles(seconds[1:])
+        figures[name] = percentiles(seconds[1:] or seconds or [np.nan])
         figures[name] |= {"difference": difference, "gave up": float(gave_up)}
     ours = figures["gtmr"]
     for figure in figures.values():
