@@ -123,9 +123,12 @@ class Tally(NamedTuple):
     passes: np.ndarray
     """How many QPs were solved in so many passes, from 0 on."""
     statuses: Counter
-    """How many QPs ended with a status, and how many of ``limited`` at the bound."""
+    """How many QPs ended with a status; of those that were not solved, how many at the bound, and
+    how many with a plan that stays upright."""
     longest: tuple[float, int, int]
     """Passes of the longest that was solved, number of its start, and which of its QPs it is."""
+    upright: tuple[float, int, int]
+    """The same of those alone whose plan stays below a pitch of 90 degrees."""
     slowest: tuple[float, int, int]
     """The same of the slowest at the bound, with its time [s]; time 0 if there is none."""
 
@@ -138,6 +141,7 @@ class Tally(NamedTuple):
             counts,
             self.statuses + other.statuses,
             max(self.longest, other.longest),
+            max(self.upright, other.upright),
             max(self.slowest, other.slowest),
         )
 
@@ -145,17 +149,22 @@ class Tally(NamedTuple):
 def tally(starts: range) -> Tally:
     """Solve the QPs of these starts, in a process of their own."""
     qps, passes, statuses = HardQps(), [], Counter()
-    longest = slowest = (0.0, 0, 0)
+    longest = upright = slowest = (0.0, 0, 0)
     for number in starts:
         for which, qp in enumerate(qps.from_start(number)):
             statuses[qp.result.status] += 1
+            stays_upright = np.abs(qp.result.x_plan[:, PITCH]).max() < np.pi / 2
             if qp.result.status in ("solved", "softened"):
                 passes.append(qp.passes)
                 longest = max(longest, (qp.passes, number, which))
-            elif qp.passes == MAX_PASSES:
+                if stays_upright:
+                    upright = max(upright, (qp.passes, number, which))
+                continue
+            statuses["unsolved but upright"] += int(stays_upright)
+            if qp.passes == MAX_PASSES:
                 statuses["at the bound"] += 1
                 slowest = max(slowest, (qp.feedback_s, number, which))
-    return Tally(np.bincount(passes), statuses, longest, slowest)
+    return Tally(np.bincount(passes), statuses, longest, upright, slowest)
 
 
 def percentile(counts: np.ndarray, share: float) -> int:
@@ -196,6 +205,7 @@ def main() -> None:
         if qps := counts[first : first + BIN].sum():
             print(f"{first:8} to {first + BIN - 1:<4} {qps:8} QPs")
     describe("longest that was solved", *total.longest[1:])
+    describe("longest with an upright plan", *total.upright[1:])
     if total.slowest[0] > 0.0:
         describe("slowest at the bound", *total.slowest[1:])
 

@@ -27,8 +27,8 @@
 
 /*
  * Passes that a step may take: a change of the multipliers up to the row that stops it, or the
- * entry of violated rows. About twice what the longest of 10^6 hard random QPs took, see
- * docs/solver.md; rows and with them passes grow with the horizon and the rotors.
+ * entry of violated rows. No solution of 10^6 hard random QPs takes more than 903, all but one in
+ * 10^5 at most 707, see docs/solver.md; rows and with them passes grow with horizon and rotors.
  */
 #ifndef GTMR_MAX_PASSES
 #define GTMR_MAX_PASSES (8 * N_V)
