@@ -25,6 +25,7 @@ from pathlib import Path
 C = "src/gtmr_nmpc/compiled/c"
 COMPILED = "tests/nmpc/test_compiled.py::test_"
 CONTROLLER = "tests/nmpc/test_controller.py::test_"
+PASSES = "tests/nmpc/test_passes.py::test_"
 SENSITIVITY = "tests/nmpc/test_sensitivity.py::test_"
 MESSAGES = "tests/msgs/test_messages.py::test_"
 LOOP = "tests/study/test_faults.py::test_what_is_promised_in_the_loop_is_kept"
@@ -54,6 +55,18 @@ MUTATIONS = [
         "? gtmr_compliance(c, a)",
         "? 2.0 * gtmr_compliance(c, a)",
         COMPILED + "random_problems",
+    ),
+    (
+        f"{C}/active_set.c",
+        "step == 0.0 && longest == 0.0",
+        "0 && longest == 0.0",
+        PASSES + "clearances_that_are_all_at_their_cap_do_not_go_round_in_circles",
+    ),
+    (
+        f"{C}/riccati.c",
+        "keep_within(c, i, now);",
+        "(void)keep_within;",
+        PASSES + "a_step_that_is_stopped_returns_a_plan_within_the_limits_of_the_rotors",
     ),
     (
         f"{C}/margins.c",

@@ -88,6 +88,9 @@ Beside the figures of the controller, the flight and the bag there are:
 - `withheld_commands` (nmpc): steps that sent no command, for the reason in the message: odometry
   older than `max_delay_s`, a solver that failed for more than 0.1 s, a vehicle that is inverted or
   too fast.
+- `qp_status` (nmpc): `solved`; `softened` if the plan needs slack; `limited` if the solver stopped
+  before its solution, with a plan that keeps the limits of the rotors; `failed` if it found no
+  finite numbers. `softened_in_window` and the like count the last 400 steps.
 - `guard`, `guard_cause`, `guard_time_s` (sim): whether the guard is in charge, why, and for how
   long it was.
 

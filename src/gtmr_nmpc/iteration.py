@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gtmr_nmpc.config import ControllerConfig
 from gtmr_nmpc.margins import Iterate, Tightening
 from gtmr_nmpc.observer import Observer
+from gtmr_nmpc.solution import Status
 
 Array = NDArray[np.float64]
 
@@ -34,8 +35,8 @@ class IterationResult(NamedTuple):
     """The margins it was made with."""
     slack: Array
     """Violation of the tightened clearance per stage [m], shape (N + 1,)."""
-    status: str
-    """``solved``, ``softened`` or ``failed``."""
+    status: Status
+    """``solved``, ``softened``, ``limited`` or ``failed``."""
 
 
 class Iteration(Protocol):

@@ -372,6 +372,8 @@ class NmpcNode(SuiteNode):
             level, message = Level.STALE, "no odometry to act upon"
         elif performance.count("failed"):
             level, message = Level.ERROR, "the QP solver gave up"
+        elif performance.count("limited"):
+            level, message = Level.WARN, "the QP solver stopped before its solution"
         elif performance.count("softened"):
             level, message = Level.WARN, "the tightened clearance is violated"
         self._steps_reported = performance.steps
@@ -392,6 +394,7 @@ class NmpcNode(SuiteNode):
                     **self.drops.figures(),
                     "callback_errors": self.callback_errors,
                     "softened_in_window": performance.count("softened"),
+                    "limited_in_window": performance.count("limited"),
                     "failed_in_window": performance.count("failed"),
                     **performance.percentiles_ms(),
                     **(standing(last, config) if last else {}),

@@ -9,11 +9,22 @@
 """What one controller step returns."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gtmr_nmpc.margins import Tightening
+
+Status = Literal["solved", "softened", "limited", "failed"]
+"""How a step ended.
+
+``solved`` and ``softened``, which uses slack, are solutions of the QP. ``limited`` is the plan of
+a solver that stopped before its solution, at its bound on passes or where rounding stood in its
+way: it keeps the limits of the rotors and tells the slack it uses, but there is a better one.
+``failed``: there are no finite numbers, or the reference's solver gave up, and the rest of the
+last plan is returned.
+"""
 
 
 @dataclass(frozen=True)
@@ -51,9 +62,8 @@ class Solution:
     margin_scale: float
     """How much of the margins was applied, and is in ``tightening``: 0 in nominal
     mode, 1 in robust mode, in between for a while after a switch."""
-    status: str
-    """``solved``; ``softened`` if a slack was used; ``failed`` if the QP solver gave up and the
-    rest of the last plan is returned."""
+    status: Status
+    """``solved``, ``softened``, ``limited`` or ``failed``; see `Status`."""
     timing: Timing
     """How long the step took."""
 

@@ -241,7 +241,7 @@ def test_a_plan_that_is_called_solved_keeps_the_rotor_limits_from_anywhere():
         x[6:12] += rng.uniform(-1.0, 1.0, 6)
         x[12:] = rng.uniform(0.0, 120.0, 6)
     solved = 0
-    # On the fourth step from start 536 the active set ends beyond the limits: it must say failed.
+    # On the fourth step from start 536 the active set ends beyond the limits, and is cut to them.
     for x in [*starts[:75], starts[536]]:
         controller = Controller(config, "robust", CompiledIteration(config))
         for k in range(4):

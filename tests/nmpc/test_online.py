@@ -146,6 +146,11 @@ def test_a_solver_that_fails_on_and_on_sends_no_plan(plan):
     assert fitness.reason(0.325, START, failed) == ""
 
 
+def test_a_plan_of_a_solver_that_was_stopped_is_sent(plan):
+    fitness, limited = Fitness(), replace(plan, status="limited")
+    assert {fitness.reason(0.025 * k, START, limited) for k in range(12)} == {""}
+
+
 @pytest.mark.parametrize(
     ("index", "value", "reason"),
     [(3, 2.0, "inverted"), (4, -1.6, "inverted"), (8, -MAX_SPEED_M_S - 0.1, "faster")],

@@ -27,10 +27,11 @@ from gtmr_nmpc.iteration import IterationResult
 from gtmr_nmpc.margins import Iterate, Tightening
 from gtmr_nmpc.margins.paper import gust_margin
 from gtmr_nmpc.observer import N_THETA, Estimate, bounds, gains, gust_decay
+from gtmr_nmpc.solution import Status
 
 Array = NDArray[np.float64]
 
-STATUSES = ("solved", "softened", "failed")
+STATUSES: tuple[Status, ...] = ("solved", "softened", "failed", "limited")
 """By ``gtmr_status``."""
 ALIGNMENT = 64
 """Of a controller's memory [bytes]."""
@@ -129,6 +130,11 @@ class CompiledIteration:
     def sizes(self) -> tuple[int, int]:
         """Bytes of a controller's memory, and entries of a plan, for users of the C library."""
         return self._library.gtmr_size(), self._library.gtmr_plan_length()
+
+    @property
+    def passes(self) -> int:
+        """How many passes the active set took in the last step."""
+        return int(self._library.gtmr_passes(self._controller))
 
     def reconfigure(self, config: ControllerConfig) -> None:
         """See `Iteration.reconfigure`."""

@@ -18,6 +18,7 @@ from gtmr_nmpc.iteration import SLACK_TOLERANCE_M, IterationResult
 from gtmr_nmpc.margins import Iterate, Tightening
 from gtmr_nmpc.observer import InterpretedObserver
 from gtmr_nmpc.reference.rti import Preparation, RealTimeIteration, Trajectory
+from gtmr_nmpc.solution import Status
 
 Array = NDArray[np.float64]
 
@@ -80,6 +81,7 @@ class InterpretedIteration:
 
     def feedback(self, x: Array) -> IterationResult:
         """See `Iteration.feedback`."""
+        status: Status
         result = self._rti.feedback(self._preparation, x)
         if result is None:
             self._last, slack, status = self._iterate, np.zeros(self._config.horizon), "failed"

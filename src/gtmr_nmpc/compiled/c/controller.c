@@ -155,14 +155,26 @@ static int outside(const gtmr_controller *c, int row, double tolerance)
 
 enum { ROTORS_BROKEN = 1, CLEARANCES_BROKEN = 2 };
 
-/* Values of all inequalities after the step of v = 0, and their bounds; which kinds are broken. */
-static int inequalities(gtmr_controller *c, const double *x)
+/* The tightened clearances of stages 1 to N after a step [m]. */
+static void clearances_along_step(gtmr_controller *c, double *along)
 {
     double change[STAGES + 1] = {0.0};
-    int rotors = 0, clearances = 0;
     if (with_margin_gradient(c)) {
         gtmr_margin_change_along_step(c, change);
     }
+    for (int i = 1; i <= STAGES; ++i) {
+        const clearance *y = &c->clearances[i];
+        const double *dp = c->step[i];
+        along[i] = y->residual + y->gradient[0] * dp[0] + y->gradient[1] * dp[1] + change[i];
+    }
+}
+
+/* Values of all inequalities after the step of v = 0, and their bounds; which kinds are broken. */
+static int inequalities(gtmr_controller *c, const double *x)
+{
+    double along[STAGES + 1];
+    int rotors = 0, clearances = 0;
+    clearances_along_step(c, along);
     for (int i = 0; i < STAGES; ++i) {
         for (int r = 0; r < N_U; ++r) {
             const int input = row_of(i, r), speed = row_of(i, N_U + r);
@@ -171,13 +183,10 @@ static int inequalities(gtmr_controller *c, const double *x)
             c->value[speed] = c->x[i + 1][BODY + r] + c->step[i + 1][BODY + r];
             rotors |= outside(c, input, INPUT_ROUNDING) | outside(c, speed, SPEED_ROUNDING);
         }
-        const clearance *y = &c->clearances[i + 1];
-        const double *dp = c->step[i + 1];
         const int row = row_of(i, CLEARANCE);
         c->lower[row] = -HUGE_VAL;
         c->upper[row] = 0.0;
-        c->value[row] =
-            y->residual + y->gradient[0] * dp[0] + y->gradient[1] * dp[1] + change[i + 1];
+        c->value[row] = along[i + 1];
         clearances |= outside(c, row, CLEARANCE_ROUNDING);
     }
     return (rotors ? ROTORS_BROKEN : 0) | (clearances ? CLEARANCES_BROKEN : 0);
@@ -285,6 +294,16 @@ static int clearances_suffice(gtmr_controller *c, const double *dx0)
     return !breaks_rotor_limits(c, INPUT_ROUNDING, SPEED_ROUNDING);
 }
 
+/* By how much the step breaks the tightened clearances. */
+static void slack_of_step(gtmr_controller *c, double *slack)
+{
+    double along[STAGES + 1];
+    clearances_along_step(c, along);
+    for (int i = 1; i <= STAGES; ++i) {
+        slack[i] = along[i] > SLACK_ROUNDING ? along[i] : 0.0;
+    }
+}
+
 /* The whole QP; 0 if solved. Rotor limits are hard: a step that breaks them is no solution. */
 static int solve_whole(gtmr_controller *c, const double *dx0)
 {
@@ -304,7 +323,10 @@ static gtmr_status constrained_step(gtmr_controller *c, const double *dx0, int b
     gtmr_status status = GTMR_SOLVED;
     const int simple = broken == CLEARANCES_BROKEN && !starts_with_rotors(c);
     if (!(simple && clearances_suffice(c, dx0)) && solve_whole(c, dx0) != 0) {
-        return GTMR_FAILED;
+        /* A dual method has no feasible point before its end: cut the inputs of what it has. */
+        gtmr_riccati_rollout_within(c, dx0, c->v);
+        slack_of_step(c, slack);
+        return GTMR_LIMITED;
     }
     for (int i = 0; i < STAGES; ++i) {
         slack[i + 1] = planned_slack(c, row_of(i, CLEARANCE));
@@ -321,13 +343,16 @@ gtmr_status gtmr_feedback(gtmr_controller *c, const double *x, double *to)
         dx0[j] = x[j] - c->x[0][j];
     }
     memset(c->last.multiplier, 0, sizeof c->last.multiplier);
+    c->passes = 0;
     gtmr_riccati_rollout(c, dx0, NULL);
     const int broken = inequalities(c, x);
     if (broken) {
         status = constrained_step(c, dx0, broken, slack);
     }
-    if (status == GTMR_FAILED || !is_finite_step(c)) {
+    if (!is_finite_step(c)) {
         status = GTMR_FAILED;
+        memset(slack, 0, sizeof slack);
+        memset(c->last.multiplier, 0, sizeof c->last.multiplier);
         stay(c);
     } else {
         take_step(c);
@@ -335,4 +360,9 @@ gtmr_status gtmr_feedback(gtmr_controller *c, const double *x, double *to)
     slack[0] = measured_slack(c, x);
     write_plan(c, slack, to);
     return status;
+}
+
+int gtmr_passes(const gtmr_controller *c)
+{
+    return c->passes;
 }

@@ -53,7 +53,18 @@ typedef struct {
     double gust_decay;
 } gtmr_parameters;
 
-typedef enum { GTMR_SOLVED = 0, GTMR_SOFTENED = 1, GTMR_FAILED = 2 } gtmr_status;
+/*
+ * How a step ended. Solved, softened: with the solution of its QP, which in the latter case needs
+ * slack. Failed: there are no finite numbers, and the plan is the iterate. Limited: stopped before
+ * the solution was found, at the bound on passes or where rounding stood in the way; the plan keeps
+ * the limits of the rotors and its slack is told, but there is a better one.
+ */
+typedef enum {
+    GTMR_SOLVED = 0,
+    GTMR_SOFTENED = 1,
+    GTMR_FAILED = 2,
+    GTMR_LIMITED = 3
+} gtmr_status;
 
 typedef struct gtmr_controller gtmr_controller;
 
@@ -111,6 +122,10 @@ void gtmr_tighten(gtmr_controller *controller, const double *alpha);
  * slack (N+1), one after the other.
  */
 gtmr_status gtmr_feedback(gtmr_controller *controller, const double *x, double *plan);
+
+/* How many passes the active set took in the last step, at most the bound GTMR_MAX_PASSES of
+ * active_set.c; 0 where no inequality was broken without it. */
+int gtmr_passes(const gtmr_controller *controller);
 
 /*
  * The observer, which needs nothing of the above: forget what it knows, take in a measured state

@@ -292,3 +292,63 @@ void gtmr_riccati_rollout(gtmr_controller *c, const double *dx0, const double *v
         }
     }
 }
+
+/* The input of a stage by the policy: du = C' (v - z - Z dx). */
+static void policy(const interval *at, const double *dx, const double *v, double *du)
+{
+    double free[N_U];
+    for (int r = 0; r < N_U; ++r) {
+        free[r] = v[r] - at->z[r] - dot(at->Z[r], dx, LD_X);
+    }
+    for (int r = 0; r < N_U; ++r) {
+        du[r] = 0.0;
+        for (int k = r; k < N_U; ++k) {
+            du[r] += at->whitening[k][r] * free[k];
+        }
+    }
+}
+
+/* The state after a stage, of its state and input. */
+static void advance(const interval *at, const double *now, double *next)
+{
+    for (int r = 0; r < BODY; ++r) {
+        next[r] = at->defect[r] + dot(at->jacobian[r], now, LD_XU);
+    }
+    for (int r = 0; r < N_U; ++r) {
+        next[BODY + r] = at->defect[BODY + r] + now[BODY + r] + PERIOD_S * now[N_X + r];
+    }
+}
+
+static double between(double value, double low, double high)
+{
+    return value < low ? low : value > high ? high : value;
+}
+
+/*
+ * Cut the inputs of a stage so that they and the next speeds keep their bounds. Any speed that
+ * `bound_rotor` asks for is in reach, so that stage by stage there is an input for it.
+ */
+static void keep_within(const gtmr_controller *c, int stage, double *now)
+{
+    for (int r = 0; r < N_U; ++r) {
+        const int input = row_of(stage, r), speed = row_of(stage, N_U + r);
+        const double xi = c->x[stage][BODY + r] + now[BODY + r];
+        double u = c->u[stage][r] + now[N_X + r];
+        u = between(u, (c->lower[speed] - xi) / PERIOD_S, (c->upper[speed] - xi) / PERIOD_S);
+        u = between(u, c->lower[input], c->upper[input]);
+        now[N_X + r] = u - c->u[stage][r];
+    }
+}
+
+void gtmr_riccati_rollout_within(gtmr_controller *c, const double *dx0, const double *v)
+{
+    memset(c->step, 0, sizeof c->step);
+    memcpy(c->step[0], dx0, N_X * sizeof(double));
+    for (int i = 0; i < STAGES; ++i) {
+        const interval *at = &c->intervals[i];
+        double *now = c->step[i], *next = c->step[i + 1];
+        policy(at, now, v + i * N_U, now + N_X);
+        keep_within(c, i, now);
+        advance(at, now, next);
+    }
+}

@@ -118,6 +118,7 @@ struct gtmr_controller {
     double upper[N_ROWS];
     double v[LD_V];
     int in_set[N_ROWS];
+    int passes; /* of the active set in this step */
     working_set active;
 
     vec lanes_in[MODEL_LANES_IN];
@@ -147,6 +148,8 @@ void gtmr_margin_gradient(gtmr_controller *c, int stage, double d_x[][N_X], doub
 void gtmr_riccati_factorise(gtmr_controller *c);
 void gtmr_riccati_gain(const interval *at, double K[N_U][LD_X]); /* of du = K dx + k + C' v */
 void gtmr_riccati_rollout(gtmr_controller *c, const double *dx0, const double *v);
+/* The same with every input cut to what the bounds of rotors leave. */
+void gtmr_riccati_rollout_within(gtmr_controller *c, const double *dx0, const double *v);
 
 /* condense.c: the rows of the inequalities in v; of the clearances alone, the others being as
  * good as absent. */
@@ -172,7 +175,7 @@ void gtmr_working_set_combine(const gtmr_controller *c, const double *by, double
 void gtmr_working_set_forward(const working_set *set, double *y);
 void gtmr_working_set_backward(const working_set *set, double *y);
 
-/* active_set.c: 0 if solved. */
+/* active_set.c: 0 if solved; otherwise v is that of the multipliers so far, and breaks rows. */
 int gtmr_active_set_solve(gtmr_controller *c);
 
 static inline int is_robust(const gtmr_controller *c)
