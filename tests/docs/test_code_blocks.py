@@ -182,7 +182,7 @@ def try_line(line, gtmr):
         case ["python" | "python3", "-m", "venv", *_]:
             pass
         case ["python" | "python3", script, *_]:
-            assert Path(script).is_file(), script
+            assert Path(script).is_file() or (Path(script) / "__main__.py").is_file(), script
         case ["pytest", *rest]:
             for word in rest:
                 assert word.startswith("-") or Path(word.partition("::")[0]).exists(), word
