@@ -73,10 +73,12 @@ class TimedSimNode(SimNode):
         topics.DIAGNOSTICS.subscription(self, self._on_diagnostics)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(MEMORY_PERIOD_S, self._watch_memory, clock=steady)
+        self._watch_memory()
 
-    def _publish_state(self) -> None:
-        self._published[self._session.stamp_ns] = time.monotonic()
-        super()._publish_state()
+    def _publish_state(self, measured: bool) -> None:
+        if measured:
+            self._published[self._session.measured_ns] = time.monotonic()
+        super()._publish_state(measured)
 
     def _play(self, plan: RotorPlan) -> None:
         published = self._published.get(plan.stamp_ns)
@@ -133,7 +135,7 @@ def main() -> None:
     node = made[0]
     values_ms = 1e3 * np.array(node.latencies_s)
     median, p99, p999, worst = np.percentile(values_ms, (50.0, 99.0, 99.9, 100.0))
-    early, late = node.memory_mib[min(5, len(node.memory_mib) - 1)], node.memory_mib[-1]
+    early, late = node.memory_mib[min(6, len(node.memory_mib) - 1)], node.memory_mib[-1]
     result = {
         "machine": machine(),
         "rate_hz": given.rate,
