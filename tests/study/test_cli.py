@@ -345,3 +345,14 @@ def test_report_of_what_is_no_bag_ends_the_process_with_one_line(tmp_path):
     assert run.returncode == 2
     assert "flight.mcap" in run.stderr
     assert run.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (("bench", "--steps", "3"), "gtmr: --steps = 3: Input should be greater than"),
+        (("campaign", "--trials", "many", "--out", "x"), "gtmr: --trials = many: Input should be"),
+    ],
+)
+def test_a_refused_number_is_named_with_its_option(refused, given, said):
+    assert refused(*given).startswith(said)

@@ -16,7 +16,7 @@ import os
 import sys
 from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -121,7 +121,7 @@ def exit_code_of(command: Callable[[], Any]) -> int:
         # typer makes an exit code of its own of Ctrl-C in a command.
         code = command() or 0
     except UsageError as error:
-        complain(cast(Any, error).format_message())
+        complain(_refusal(error))
         return BAD_INPUT
     except (typer.Abort, KeyboardInterrupt):
         code = INTERRUPTED
@@ -140,6 +140,18 @@ def exit_code_of(command: Callable[[], Any]) -> int:
     if code == INTERRUPTED:
         complain("interrupted")
     return code
+
+
+def _refusal(error: Exception) -> str:
+    """Say which option was refused, which value it had and why."""
+    said: Any = error
+    cause: Any = error.__cause__
+    problems = cause.errors() if hasattr(cause, "errors") else []
+    option = next(iter(getattr(getattr(said, "param", None), "opts", None) or []), "")
+    if not problems or not option:
+        return str(said.format_message())
+    value, reason = problems[0]["input"], problems[0]["msg"]
+    return f"{option} = {value}: {reason}"
 
 
 def require_seed(seed: int | None, most: int = MAX_SEED) -> None:

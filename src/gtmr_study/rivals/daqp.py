@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gtmr_nmpc import ControllerConfig
 from gtmr_nmpc.reference.qp import OPTIMAL, PRIMAL_TOLERANCE, DaqpProblem
 from gtmr_nmpc.reference.rti import RealTimeIteration
-from gtmr_study.rivals.qp import REPEATS, Step
+from gtmr_study.rivals.qp import REPEATS, RecordedStep
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ class DaqpRival:
         """See `QpRival.start`."""
         self._marks: dict[int, NDArray[np.int32]] = {}
 
-    def solve(self, step: Step) -> tuple[Array, float]:
+    def solve(self, step: RecordedStep) -> tuple[Array, float]:
         """See `QpRival.solve`."""
         prep = self._rti.prepare(step.t, step.iterate, step.mode)
         qp = self._rti.condensed(prep, step.x)

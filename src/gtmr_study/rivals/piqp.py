@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gtmr_model.dynamics import POSITION, ROTORS
 from gtmr_nmpc import ControllerConfig, ocp
-from gtmr_study.rivals.qp import REPEATS, Step
+from gtmr_study.rivals.qp import REPEATS, RecordedStep
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class PiqpRival:
         """See `QpRival.start`; scales anew."""
         self._is_set_up = False
 
-    def solve(self, step: Step) -> tuple[Array, float]:
+    def solve(self, step: RecordedStep) -> tuple[Array, float]:
         """See `QpRival.solve`."""
         qp = self._data.at(step)
         if not self._is_set_up:
@@ -119,7 +119,7 @@ class SparseQp:
         clearances = ca.jacobian(ca.vertcat(*g), z)
         self._matrices = ca.Function("qp", given, [*cost, *dynamics, clearances])
 
-    def at(self, step: Step) -> tuple[Any, ...]:
+    def at(self, step: RecordedStep) -> tuple[Any, ...]:
         """P, c, A, b, G, h_l, h_u, x_l, x_u of PIQP: 1/2 z'Pz + c'z, Az = b, Gz within h."""
         config, vehicle, n = self._config, self._config.vehicle, self._config.horizon
         x, u = step.iterate.x, step.iterate.u

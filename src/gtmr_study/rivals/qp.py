@@ -33,7 +33,7 @@ MODES: tuple[Mode, ...] = ("nominal", "robust")
 
 
 @dataclass(frozen=True)
-class Step:
+class RecordedStep:
     """A step of the controller, and what it linearised along."""
 
     mode: Mode
@@ -59,7 +59,7 @@ class QpRival(Protocol):
         """Forget the last step, where a flight starts anew."""
         ...
 
-    def solve(self, step: Step) -> tuple[Array, float]:
+    def solve(self, step: RecordedStep) -> tuple[Array, float]:
         """Solve the QP of a step: the first input [Hz/s], shape (N_p,), and the time taken [s].
 
         RuntimeError if the solver gave up.
@@ -100,12 +100,13 @@ def time_qp_rivals(
     return figures
 
 
-def record_steps(situation: Situation, config: ControllerConfig, mode: Mode) -> list[Step]:
+def record_steps(situation: Situation, config: ControllerConfig, mode: Mode) -> list[RecordedStep]:
     """Make the steps of a situation; each is timed as often as a rival's."""
     passes = [_steps(situation, config, mode) for _ in range(REPEATS)]
     least = np.min([seconds for _, seconds in passes], axis=0).tolist()
     return [
-        Step(mode, *given, seconds) for given, seconds in zip(passes[0][0], least, strict=True)
+        RecordedStep(mode, *given, seconds)
+        for given, seconds in zip(passes[0][0], least, strict=True)
     ]
 
 
