@@ -11,6 +11,7 @@
 import os
 from collections import Counter
 
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
@@ -20,6 +21,7 @@ from support.reference_qp import solve_with_qpoases
 
 from gtmr_model import Helix, Tower, Vehicle
 from gtmr_nmpc import Controller, ControllerConfig
+from gtmr_nmpc.compiled import codegen
 from gtmr_nmpc.compiled.iteration import CompiledIteration
 from gtmr_nmpc.reference.interpreted import InterpretedIteration
 from gtmr_nmpc.reference.qp import CondensedQp
@@ -263,3 +265,16 @@ def beyond_limits(vehicle, plan, xi):
         (lowest - plan.x_plan[1:, 12:]).max(),
         (plan.x_plan[1:, 12:] - highest).max(),
     )
+
+
+@pytest.mark.parametrize(("row", "column"), [(9, 6), (11, 3), (12, 10), (14, 18)])
+def test_a_model_that_the_recursion_would_get_wrong_is_refused(row, column):
+    dense = ca.Sparsity.dense(15, 24)
+    allowed = np.ones((15, 24), bool)
+    allowed[9:12, :9] = allowed[12:, 9:12] = allowed[12:, 18:] = False
+    rows, columns = np.nonzero(allowed)
+    known = ca.Sparsity.triplet(*dense.shape, rows.tolist(), columns.tolist())
+    codegen.require_structure(known)
+    one_more = known + ca.Sparsity.triplet(*dense.shape, [row], [column])
+    with pytest.raises(ValueError, match=rf"\({row}, {column}\)"):
+        codegen.require_structure(one_more)

@@ -11,10 +11,11 @@
 from importlib.resources import files
 
 import casadi as ca
+import numpy as np
 
 from gtmr_codegen.c_source import c_function
 from gtmr_model import N_ZETA, ConfigError
-from gtmr_model.dynamics import ROTORS, rk4_step, state_derivative, symbols
+from gtmr_model.dynamics import RATE, ROTORS, rk4_step, state_derivative, symbols
 from gtmr_model.reference import reference_function
 from gtmr_nmpc import observer, ocp, sensitivity
 from gtmr_nmpc.config import ControllerConfig
@@ -57,6 +58,7 @@ def _model(config: ControllerConfig) -> dict[str, str]:
     disturbed, *same_places = _linearise(config, disturbed=True)
     assert places == same_places
     jacobian, dF_dzeta = places
+    require_structure(jacobian)
     constraint = config.clearance_constraint
     functions = [linearise, disturbed, _bending(config), _adjoint(config)]
     by_point = [_reference(config), *_clearance(config), _motion(config)]
@@ -120,6 +122,24 @@ def _model(config: ControllerConfig) -> dict[str, str]:
 #endif
 """
     return sources
+
+
+def require_structure(jacobian: ca.Sparsity) -> None:
+    """Refuse a model whose [A B] has entries that ``riccati.c`` takes as zero.
+
+    Body rates depend on nothing of the body but themselves, the acceleration neither on rates nor
+    on inputs. Raises ValueError otherwise: the QP would be another one without a word.
+    """
+    rows, columns = (np.array(each, int) for each in jacobian.get_triplet())
+    rates = (rows >= RATE.start) & (rows < RATE.stop)
+    acceleration = rows >= BODY.stop
+    n_x = jacobian.size2() - (jacobian.size2() - BODY.stop) // 2
+    wrong = rates & (columns < RATE.start)
+    wrong |= acceleration & (columns >= RATE.start) & (columns < RATE.stop)
+    wrong |= acceleration & (columns >= n_x)
+    if wrong.any():
+        places = sorted(set(zip(rows[wrong].tolist(), columns[wrong].tolist(), strict=True)))
+        raise ValueError(f"d(F, acceleration)/d(x, u) has entries at {places}: see riccati.c")
 
 
 def _places(sparsity: ca.Sparsity) -> str:
