@@ -22,7 +22,7 @@ from pathlib import Path
 
 from gtmr_nmpc import Controller
 from gtmr_sim import Scenario, Simulation
-from gtmr_study.rivals.bench import machine
+from gtmr_study.solvers.bench import machine
 
 LOOKS = 10
 """How often memory, files and threads are looked at."""

@@ -36,7 +36,7 @@ from gtmr_msgs_py.node.process import PROMPT, run
 from gtmr_msgs_py.start.environment import ros_environment
 from gtmr_nmpc import Controller, ControllerConfig
 from gtmr_sim.node import SimNode
-from gtmr_study.rivals.bench import machine
+from gtmr_study.solvers.bench import machine
 
 WARM_UP_S = 5.0
 """Time at the start that is not counted [s]."""

@@ -31,7 +31,7 @@ from gtmr_model.dynamics import PITCH
 from gtmr_nmpc import ControllerConfig
 from gtmr_nmpc.compiled.iteration import CompiledIteration
 from gtmr_nmpc.iteration import IterationResult
-from gtmr_study.rivals.bench import machine
+from gtmr_study.solvers.bench import machine
 
 KINDS = (("nominal", 0.0, "frozen"), ("robust", 1.0, "frozen"), ("gradient", 1.0, "gradient"))
 """Name, margin scale, tightening."""

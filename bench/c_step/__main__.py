@@ -24,8 +24,8 @@ import numpy as np
 from gtmr_codegen.library import FLAGS
 from gtmr_nmpc import ControllerConfig
 from gtmr_study.result_files import InputError, require_folder_of, write_json
-from gtmr_study.rivals.bench import machine
-from gtmr_study.rivals.situations import record_situations
+from gtmr_study.solvers.bench import machine
+from gtmr_study.solvers.situations import record_situations
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

@@ -15,7 +15,7 @@ import pytest
 
 from gtmr_nmpc import ControllerConfig
 from gtmr_nmpc.reference.rti import RealTimeIteration, Trajectory
-from gtmr_study.rivals.nlp import InspectionNlp
+from gtmr_study.solvers.nlp import InspectionNlp
 
 IPOPT = {
     "ipopt.tol": 1e-12,

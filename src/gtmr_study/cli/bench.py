@@ -16,7 +16,7 @@ from gtmr_nmpc import ControllerConfig
 from gtmr_study.cli.tables import explains, new_table
 from gtmr_study.cli.terminal import JsonOption, console, option
 from gtmr_study.result_files import require_folder_of, write_json
-from gtmr_study.rivals.bench import (
+from gtmr_study.solvers.bench import (
     CONTROLLERS,
     machine,
     make_qp_rivals,
@@ -24,8 +24,8 @@ from gtmr_study.rivals.bench import (
     time_controller,
     time_rivals,
 )
-from gtmr_study.rivals.qp import MODES, time_qp_rivals
-from gtmr_study.rivals.situations import Situation, record_situations
+from gtmr_study.solvers.qp import MODES, time_qp_rivals
+from gtmr_study.solvers.situations import Situation, record_situations
 
 COLUMNS = ("median", "p99", "p99.9", "max")
 WORDS = {

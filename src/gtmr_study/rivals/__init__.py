@@ -6,4 +6,4 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What a user would pick instead, on the same steps."""
+"""Controllers of other families that fly the same flights as ours, a file each."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gtmr_nmpc import ControllerConfig
 from gtmr_nmpc.reference.qp import OPTIMAL, PRIMAL_TOLERANCE, DaqpProblem
 from gtmr_nmpc.reference.rti import RealTimeIteration
-from gtmr_study.rivals.qp import REPEATS, RecordedStep
+from gtmr_study.solvers.qp import REPEATS, RecordedStep
 
 Array = NDArray[np.float64]
 

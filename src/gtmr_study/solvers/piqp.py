@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gtmr_model.dynamics import POSITION, ROTORS
 from gtmr_nmpc import ControllerConfig, ocp
-from gtmr_study.rivals.qp import REPEATS, RecordedStep
+from gtmr_study.solvers.qp import REPEATS, RecordedStep
 
 Array = NDArray[np.float64]
 

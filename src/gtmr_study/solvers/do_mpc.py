@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gtmr_model import N_ZETA
 from gtmr_model.dynamics import ROTORS, VELOCITY, discrete_step, state_derivative
 from gtmr_nmpc import ControllerConfig
-from gtmr_study.rivals.nlp import NlpSolution, references, stage_cost, terminal_cost
+from gtmr_study.solvers.nlp import NlpSolution, references, stage_cost, terminal_cost
 
 Array = NDArray[np.float64]
 

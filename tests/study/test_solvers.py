@@ -14,10 +14,10 @@ from functools import cache
 import pytest
 
 from gtmr_nmpc import ControllerConfig
-from gtmr_study.rivals.bench import make_qp_rivals
-from gtmr_study.rivals.daqp import DaqpRival
-from gtmr_study.rivals.qp import MODES, record_steps, time_qp_rivals
-from gtmr_study.rivals.situations import record_situations
+from gtmr_study.solvers.bench import make_qp_rivals
+from gtmr_study.solvers.daqp import DaqpRival
+from gtmr_study.solvers.qp import MODES, record_steps, time_qp_rivals
+from gtmr_study.solvers.situations import record_situations
 
 STEPS = 80
 """Of each situation: two starts in ``recovery``."""

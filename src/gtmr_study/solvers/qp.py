@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from gtmr_nmpc import Controller, ControllerConfig, Mode, Solution
 from gtmr_nmpc.compiled.iteration import CompiledIteration
 from gtmr_nmpc.reference.rti import Trajectory
-from gtmr_study.rivals.situations import Situation, in_flight, percentiles
+from gtmr_study.solvers.situations import Situation, in_flight, percentiles
 
 Array = NDArray[np.float64]
 

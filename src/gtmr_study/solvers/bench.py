@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 
 from gtmr_nmpc import Controller, ControllerConfig, Mode
 from gtmr_nmpc.config import TighteningOrder
-from gtmr_study.rivals.daqp import DaqpRival
-from gtmr_study.rivals.do_mpc import DoMpcRival
-from gtmr_study.rivals.nlp import InspectionNlp, NlpSolution
-from gtmr_study.rivals.piqp import PiqpRival
-from gtmr_study.rivals.qp import QpRival
-from gtmr_study.rivals.situations import WARM_UP_STEPS, Situation, in_flight, percentiles
+from gtmr_study.solvers.daqp import DaqpRival
+from gtmr_study.solvers.do_mpc import DoMpcRival
+from gtmr_study.solvers.nlp import InspectionNlp, NlpSolution
+from gtmr_study.solvers.piqp import PiqpRival
+from gtmr_study.solvers.qp import QpRival
+from gtmr_study.solvers.situations import WARM_UP_STEPS, Situation, in_flight, percentiles
 
 Array = NDArray[np.float64]
 

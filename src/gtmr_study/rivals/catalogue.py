@@ -1,0 +1,47 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Who flies in the arena, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from gtmr_nmpc import MODES, Controller, ControllerConfig, Mode
+from gtmr_sim import Scenario, StepController
+
+Maker = Callable[[ControllerConfig, Scenario], StepController]
+"""Makes a controller for one flight, from what it may know. The scenario is for an oracle alone:
+nobody else may look at its zeta and its gusts."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A controller and what a reader must know to compare it."""
+
+    family: str
+    """What it is, in one line."""
+    make: Maker
+    """Makes it."""
+    trials: float = field(default=1.0, kw_only=True)
+    """Share of the trials that it flies [-]: less for those whose step takes long."""
+
+
+def _mode(mode: Mode) -> Maker:
+    return lambda config, _: Controller(config, mode)
+
+
+FAMILIES: dict[Mode, str] = {
+    "nominal": "NMPC without a margin (the paper's)",
+    "robust": "NMPC with first-order margins (the paper's)",
+    "offset_free": "NMPC with a disturbance observer and margins of its closed loop",
+}
+
+RIVALS: dict[str, Rival] = {mode: Rival(FAMILIES[mode], _mode(mode)) for mode in MODES}
+"""Every controller of the arena."""
