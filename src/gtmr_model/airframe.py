@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gtmr_model.dynamics import ATTITUDE, POSITION, rotation
+from gtmr_model.dynamics import ATTITUDE, POSITION, one_at_a_time, rotation
 from gtmr_model.tower import Tower, clearance_constraint
 from gtmr_model.vehicle import Vehicle
 
@@ -66,6 +66,7 @@ def disc_distances(pose: Any, vehicle: Vehicle) -> Any:
 
 
 @lru_cache(maxsize=8)
+@one_at_a_time
 def _disc_function(vehicle: Vehicle) -> ca.Function:
     pose = ca.SX.sym("pose", N_POSE)
     return ca.Function("discs", [pose], [disc_distances(pose, vehicle)])
@@ -123,6 +124,7 @@ CENTRE = ClearanceConstraint(clearance_constraint())
 
 
 @lru_cache(maxsize=8)
+@one_at_a_time
 def airframe_constraint(vehicle: Vehicle) -> ClearanceConstraint:
     """Constrain all rotor discs in one row.
 

@@ -8,8 +8,10 @@
 
 """Equations of motion of the GTMR, eq. (3): written once in symbols, callable with NumPy."""
 
-from functools import lru_cache
-from typing import Any
+from collections.abc import Callable
+from functools import lru_cache, wraps
+from threading import RLock
+from typing import Any, ParamSpec, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -30,6 +32,26 @@ ROTORS = slice(12, None)
 """xi in x: rotor speeds [Hz]."""
 PITCH, YAW = 4, 5
 """Their index in x."""
+
+P = ParamSpec("P")
+T = TypeVar("T")
+MAKING_SYMBOLS = RLock()
+"""Held by the thread that makes CasADi expressions, see `one_at_a_time`."""
+
+
+def one_at_a_time(make: Callable[P, T]) -> Callable[P, T]:
+    """Let one thread at a time run functions that make CasADi expressions.
+
+    Expressions share constants that are not counted atomically: threads that make some, or drop
+    some, at once crash the process. Evaluating what was made needs no lock.
+    """
+
+    @wraps(make)
+    def locked(*args: P.args, **kwargs: P.kwargs) -> T:
+        with MAKING_SYMBOLS:
+            return make(*args, **kwargs)
+
+    return locked
 
 
 def rotation(eta: Any) -> Any:
@@ -113,6 +135,7 @@ def symbols(vehicle: Vehicle) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
 
 
 @lru_cache(maxsize=8)
+@one_at_a_time
 def _dynamics_function(vehicle: Vehicle) -> ca.Function:
     x, u, zeta, w_g = symbols(vehicle)
     return ca.Function("dynamics", [x, u, zeta, w_g], [state_derivative(x, u, zeta, w_g, vehicle)])

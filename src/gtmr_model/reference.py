@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import Self
 
-from gtmr_model.dynamics import POSITION, RATE, ROTORS, VELOCITY, YAW
+from gtmr_model.dynamics import POSITION, RATE, ROTORS, VELOCITY, YAW, one_at_a_time
 from gtmr_model.tower import Tower
 from gtmr_model.vehicle import Vehicle
 from gtmr_model.yaml_model import OneOfKinds
@@ -108,6 +108,7 @@ class ReferencePath(OneOfKinds):
 
 
 @cache
+@one_at_a_time
 def reference_function(form: ReferencePath) -> ca.Function:
     """Differentiate a form of path, for any values of its numbers.
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
+from gtmr_model.dynamics import one_at_a_time
 from gtmr_model.yaml_model import YamlModel
 
 Array = NDArray[np.float64]
@@ -50,6 +51,7 @@ class Tower(YamlModel):
 
 
 @cache
+@one_at_a_time
 def clearance_constraint() -> ca.Function:
     """Clearance constraint of eq. (1) with its derivatives, in standard form y <= 0.
 

@@ -22,7 +22,16 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from gtmr_model.dynamics import ATTITUDE, POSITION, RATE, ROTORS, VELOCITY, discrete_step, symbols
+from gtmr_model.dynamics import (
+    ATTITUDE,
+    POSITION,
+    RATE,
+    ROTORS,
+    VELOCITY,
+    discrete_step,
+    one_at_a_time,
+    symbols,
+)
 from gtmr_model.uncertainty import N_ZETA
 from gtmr_model.vehicle import Vehicle
 from gtmr_nmpc import ocp
@@ -87,6 +96,7 @@ def _hover(config: ControllerConfig, zeta: Array) -> Array:
 
 
 @lru_cache(maxsize=8)
+@one_at_a_time
 def _linearisation(vehicle: Vehicle, step_s: float) -> ca.Function:
     x, u, zeta, force = symbols(vehicle)
     torque = ca.SX.sym("torque", 3)
@@ -96,6 +106,7 @@ def _linearisation(vehicle: Vehicle, step_s: float) -> ca.Function:
 
 
 @lru_cache(maxsize=8)
+@one_at_a_time
 def _output_jacobian(vehicle: Vehicle) -> ca.Function:
     h, x = ocp.output_map(ControllerConfig(vehicle=vehicle)), ca.SX.sym("x", vehicle.n_x)
     return ca.Function("dh", [x], [ca.densify(ca.jacobian(h(x), x))])

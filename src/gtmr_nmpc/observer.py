@@ -29,10 +29,11 @@ from gtmr_model.dynamics import (
     ROTORS,
     VELOCITY,
     discrete_step,
+    one_at_a_time,
     symbols,
 )
 from gtmr_model.uncertainty import N_ZETA
-from gtmr_model.vehicle import GRAVITY_M_S2
+from gtmr_model.vehicle import GRAVITY_M_S2, Vehicle
 from gtmr_nmpc.config import ControllerConfig
 
 Array = NDArray[np.float64]
@@ -145,12 +146,14 @@ def bounds(config: ControllerConfig) -> Array:
     return BOUND_FACTOR * np.concatenate([force, np.full(3, box.gust_n), torque])
 
 
-def motion(config: ControllerConfig) -> ca.Function:
+@lru_cache(maxsize=64)
+@one_at_a_time
+def motion(vehicle: Vehicle) -> ca.Function:
     """One RK4 step of any length with disturbances held: (x, u, force, torque, dt) -> x_next."""
-    x, u, _, force = symbols(config.vehicle)
+    x, u, _, force = symbols(vehicle)
     torque, dt = ca.SX.sym("torque", 3), ca.SX.sym("dt")
     zeta = ca.DM.zeros(N_ZETA)
-    x_next = discrete_step(x, u, zeta, force, config.vehicle, dt, torque)
+    x_next = discrete_step(x, u, zeta, force, vehicle, dt, torque)
     names = ["x", "u", "force", "torque", "dt"]
     return ca.Function("motion", [x, u, force, torque, dt], [x_next], names, ["x_next"])
 
@@ -159,7 +162,7 @@ class InterpretedObserver:
     """An `Observer` in NumPy."""
 
     def __init__(self, config: ControllerConfig) -> None:
-        self._motion = motion(config)
+        self._motion = motion(config.vehicle)
         self.reconfigure(config)
         self.reset()
 

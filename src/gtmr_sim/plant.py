@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gtmr_codegen.c_source import c_function
 from gtmr_codegen.library import CompileError, load_generated, load_library, warn_interpreted
-from gtmr_model.dynamics import ROTORS, rk4_step, state_derivative, symbols
+from gtmr_model.dynamics import ROTORS, one_at_a_time, rk4_step, state_derivative, symbols
 from gtmr_model.tower import Tower
 from gtmr_model.vehicle import Vehicle
 from gtmr_sim.worlds import motors
@@ -122,6 +122,7 @@ class Plant:
 
 
 @lru_cache(maxsize=64)
+@one_at_a_time
 def _integrator(
     vehicle: Vehicle, step_s: float, tower: Tower, effects: tuple[Effect, ...], world: World
 ) -> Integrator:
@@ -225,6 +226,7 @@ def _interpreted(step: ca.Function, memory: Array, steps: int) -> None:
 
 
 @lru_cache(maxsize=64)
+@one_at_a_time
 def _folded(step: ca.Function, steps: int) -> ca.Function:
     """Give the states after each of some steps, one a column."""
     state, *held = (ca.MX.sym("", step.size1_in(i)) for i in range(step.n_in()))

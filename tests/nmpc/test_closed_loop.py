@@ -28,7 +28,7 @@ STEPS = 120
 
 @cache
 def model(config):
-    return motion(config)
+    return motion(config.vehicle)
 
 
 def fly(config, mode, force, steps=STEPS, noise=lambda _: 0.0, observe=lambda _, __: None):

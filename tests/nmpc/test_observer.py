@@ -53,7 +53,7 @@ def observers(config=CONFIG):
 
 def fly(observer, config, seconds, force=(0, 0, 0), torque=(0, 0, 0), u=None, x=None, noise=None):
     """Fly the model with a force and a torque that the observer does not know of."""
-    step = motion(config)
+    step = motion(config.vehicle)
     x = hover(config) if x is None else x
     u = np.zeros(config.vehicle.n_rotors) if u is None else u
     for _ in range(round(seconds / TS)):

@@ -15,7 +15,7 @@ import numpy as np
 
 from gtmr_codegen.c_source import c_function
 from gtmr_model import N_ZETA, ConfigError
-from gtmr_model.dynamics import RATE, ROTORS, rk4_step, state_derivative, symbols
+from gtmr_model.dynamics import RATE, ROTORS, one_at_a_time, rk4_step, state_derivative, symbols
 from gtmr_model.reference import reference_function
 from gtmr_nmpc import observer, ocp, sensitivity
 from gtmr_nmpc.config import ControllerConfig
@@ -29,6 +29,7 @@ GENERATED_FLAGS = ("-O2", "-ffp-contract=fast", "-Wno-unused-variable")
 WRITTEN_FLAGS = ("-O3", "-ffp-contract=fast")
 
 
+@one_at_a_time
 def c_sources(config: ControllerConfig) -> dict[str, str]:
     """All sources of the controller of a problem, by file name.
 
@@ -191,7 +192,7 @@ def _linearise(
 
 def _motion(config: ControllerConfig) -> ca.Function:
     """One step of any length, without rotors, which integrate the inputs."""
-    motion = observer.motion(config)
+    motion = observer.motion(config.vehicle)
     given = [ca.SX.sym(motion.name_in(i), motion.size1_in(i)) for i in range(motion.n_in())]
     return ca.Function("gtmr_model_motion", given, ca.cse([ca.densify(motion(*given)[BODY])]))
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gtmr_model import N_ZETA, Vehicle
 from gtmr_model.airframe import CENTRE
-from gtmr_model.dynamics import POSITION, ROTORS, discrete_step, symbols
+from gtmr_model.dynamics import POSITION, ROTORS, discrete_step, one_at_a_time, symbols
 from gtmr_nmpc.margins.margin import Iterate, Margin, Tightening
 from gtmr_nmpc.margins.paper import PaperMargin
 
@@ -74,6 +74,7 @@ def _turning(positions: Array, pi: Array) -> Array:
 
 
 @lru_cache(maxsize=8)
+@one_at_a_time
 def _second_order_step(vehicle: Vehicle, step_s: float, stages: int) -> ca.Function:
     """(x, u) of all stages -> dF/dx and the second derivatives of F in (x, zeta), of the body."""
     x, u, zeta, no_gust = symbols(vehicle)

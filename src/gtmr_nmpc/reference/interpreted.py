@@ -9,7 +9,6 @@
 """The real-time iteration on CasADi's virtual machine: no compiler needed, same answers."""
 
 from dataclasses import replace
-from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,18 +23,12 @@ from gtmr_nmpc.solution import Status
 Array = NDArray[np.float64]
 
 
-_MAKING = Lock()
-"""CasADi's expressions share constants that are not counted atomically: made in several threads at
-once they crash."""
-
-
 class InterpretedIteration:
     """An `Iteration` made of `RealTimeIteration`."""
 
     def __init__(self, config: ControllerConfig) -> None:
         self._config = config
-        with _MAKING:
-            self._rti = RealTimeIteration(config)
+        self._rti = RealTimeIteration(config)
         self._iterate: Trajectory
         self._last: Trajectory
         self._preparation: Preparation

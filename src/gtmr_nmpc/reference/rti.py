@@ -13,13 +13,16 @@ the state is known; feedback embeds the measured state, solves one QP and expand
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from gtmr_model.dynamics import POSITION, ROTORS
+from gtmr_model.dynamics import POSITION, ROTORS, one_at_a_time
 from gtmr_model.uncertainty import N_ZETA
+from gtmr_model.vehicle import Vehicle
 from gtmr_nmpc import ocp, sensitivity
 from gtmr_nmpc.config import ControllerConfig, Mode
 from gtmr_nmpc.margins import Iterate, PaperMargin, Tightening
@@ -72,15 +75,14 @@ class RealTimeIteration:
 
     def __init__(self, config: ControllerConfig) -> None:
         n, vehicle = config.horizon, config.vehicle
-        self._dynamics = ocp.discrete_dynamics(config)
-        self._linearise = Evaluator(_linearisation(config, with_zeta=False), n)
-        self._linearise_with_zeta = Evaluator(_linearisation(config, with_zeta=True), n)
-        self._disturbed_dynamics = ocp.disturbed_dynamics(config)
-        self._linearise_disturbed = Evaluator(_linearisation(config, True, True), n)
+        functions = _functions(vehicle, config.sampling_time_s)
+        self._dynamics = functions.dynamics
+        self._linearise = Evaluator(functions.linearise, n)
+        self._linearise_with_zeta = Evaluator(functions.linearise_with_zeta, n)
+        self._disturbed_dynamics = functions.disturbed_dynamics
+        self._linearise_disturbed = Evaluator(functions.linearise_disturbed, n)
         self._disturbance: Array | None = None
-        self._adjoint = Evaluator(
-            sensitivity.second_order_adjoint(self._dynamics), n * (n + 1) // 2
-        )
+        self._adjoint = Evaluator(functions.adjoint, n * (n + 1) // 2)
         ones = np.tril(np.ones((n, n)))
         speed_rows = config.sampling_time_s * np.kron(ones, np.eye(vehicle.n_rotors))
         self._speed_rows = np.asarray(speed_rows, dtype=float)
@@ -277,6 +279,31 @@ class RealTimeIteration:
         stages = np.arange(n + 1)
         d_x[stages, stages, states] += constraint.curvature(iterate.x, direction[stages, stages])
         return d_x, d_u
+
+
+class _Functions(NamedTuple):
+    dynamics: ca.Function
+    disturbed_dynamics: ca.Function
+    linearise: ca.Function
+    linearise_with_zeta: ca.Function
+    linearise_disturbed: ca.Function
+    adjoint: ca.Function
+
+
+@lru_cache(maxsize=64)
+@one_at_a_time
+def _functions(vehicle: Vehicle, sampling_time_s: float) -> _Functions:
+    """Make what is evaluated; it is kept, so that no thread drops expressions."""
+    config = ControllerConfig(vehicle=vehicle, sampling_time_s=sampling_time_s)
+    dynamics = ocp.discrete_dynamics(config)
+    return _Functions(
+        dynamics,
+        ocp.disturbed_dynamics(config),
+        _linearisation(config, with_zeta=False),
+        _linearisation(config, with_zeta=True),
+        _linearisation(config, with_zeta=True, disturbed=True),
+        sensitivity.second_order_adjoint(dynamics),
+    )
 
 
 def _linearisation(

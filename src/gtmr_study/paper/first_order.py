@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from gtmr_model import N_ZETA, Tower, Vehicle
-from gtmr_model.dynamics import discrete_step, symbols
+from gtmr_model.dynamics import discrete_step, one_at_a_time, symbols
 from gtmr_monitor.report.drawing import new_figure
 from gtmr_nmpc import Controller, Solution
 from gtmr_sim import fly
@@ -163,6 +163,7 @@ def _residual(
 
 
 @lru_cache(maxsize=4)
+@one_at_a_time
 def _step(vehicle: Vehicle, period_s: float) -> ca.Function:
     x, u, zeta, w_g = symbols(vehicle)
     x_next = discrete_step(x, u, zeta, w_g, vehicle, period_s)
