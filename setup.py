@@ -41,6 +41,7 @@ setup(
         "gtmr_monitor.report": ["page.css", "page.js"],
         "gtmr_msgs_py.start": ["*.xml"],
         "gtmr_nmpc.compiled": ["c/*.[ch]"],
+        "gtmr_sim.loop": ["c/*.[ch]"],
         "gtmr_study.export": ["replay.c", "CMakeLists.txt"],
     },
     data_files=[

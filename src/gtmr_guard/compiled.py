@@ -53,6 +53,13 @@ class CompiledGuard:
         self.reconfigure(parameters)
         self.reset()
 
+    @property
+    def addresses(self) -> tuple[int, int]:
+        """Where ``gtmr_guard_step`` is, and the memory of this guard, for other compiled code."""
+        function = ctypes.cast(self._step, ctypes.c_void_p).value
+        assert function is not None
+        return function, self._memory.ctypes.data
+
     def reset(self) -> None:
         """See `GuardLaw.reset`."""
         self._library.gtmr_guard_reset(self._guard)

@@ -66,6 +66,19 @@ class Guard:
         """Why it is in charge, one of `CAUSES`; empty if it is not."""
         return CAUSES[self._cause]
 
+    @property
+    def cause_index(self) -> int:
+        """Why it is in charge, by its index in `CAUSES`."""
+        return self._cause
+
+    @property
+    def addresses(self) -> tuple[int, int] | None:
+        """Where ``gtmr_guard_step`` and its memory are; None where it is not compiled.
+
+        What steps it through them sees for itself whether it is in charge.
+        """
+        return self._law.addresses if isinstance(self._law, CompiledGuard) else None
+
     def reset(self) -> None:
         """Forget the flight."""
         self._law.reset()

@@ -8,8 +8,9 @@
 
 """The plant with mismatch and gusts, and flights without ROS."""
 
-from gtmr_sim.flying.flight import FlightError, StepController, fly
+from gtmr_sim.flying.flight import fly
 from gtmr_sim.flying.log import FlightFileError, FlightLog
+from gtmr_sim.flying.stepwise import FlightError, StepController
 from gtmr_sim.plant import Plant
 from gtmr_sim.registry import EFFECTS, GUSTS
 from gtmr_sim.scenario import GUST_KINDS, GustConfig, Scenario

@@ -9,7 +9,6 @@
 """Coloured noise: shaping filters of white noise, sampled exactly."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,34 +64,49 @@ def _block_diagonal(blocks: list[Array]) -> Array:
     return whole
 
 
-def coloured_noise(
-    filters: list[Filter], rng: np.random.Generator, period_s: float
-) -> Callable[[], Array]:
-    """Sample stationary filtered white noise exactly, once every period [s].
+class ColouredNoise:
+    """Stationary filtered white noise, sampled exactly once every period [s]."""
 
-    What it gives is called for the next sample, one number a filter.
-    """
-    a = _block_diagonal([a for a, _, _ in filters])
-    b = _block_diagonal([b[:, None] for _, b, _ in filters])
-    c = _block_diagonal([c[None, :] for _, _, c in filters])
-    if all(len(f[0]) == 1 for f in filters):
-        # Filters of one state each do not mix, and have closed forms.
-        rates = np.diag(a)
-        transition = np.diag(np.exp(rates * period_s))
-        stationary = np.diag(np.diag(b) ** 2 / (-2.0 * rates))
-    else:
-        # Here, as it takes longer to import than all else of a flight's start.
-        from scipy.linalg import expm, solve_continuous_lyapunov
+    def __init__(self, filters: list[Filter], rng: np.random.Generator, period_s: float) -> None:
+        a = _block_diagonal([a for a, _, _ in filters])
+        b = _block_diagonal([b[:, None] for _, b, _ in filters])
+        self._c = _block_diagonal([c[None, :] for _, _, c in filters])
+        self._rng = rng
+        self._of_one_state = all(len(f[0]) == 1 for f in filters)
+        if self._of_one_state:
+            # Filters of one state each do not mix, and have closed forms.
+            rates = np.diag(a)
+            self._transition = np.diag(np.exp(rates * period_s))
+            stationary = np.diag(np.diag(b) ** 2 / (-2.0 * rates))
+        else:
+            # Here, as it takes longer to import than all else of a flight's start.
+            from scipy.linalg import expm, solve_continuous_lyapunov
 
-        transition = expm(a * period_s)
-        stationary = solve_continuous_lyapunov(a, -b @ b.T)
-    increment = np.linalg.cholesky(stationary - transition @ stationary @ transition.T)
-    state = np.linalg.cholesky(stationary) @ rng.standard_normal(len(a))
+            self._transition = expm(a * period_s)
+            stationary = solve_continuous_lyapunov(a, -b @ b.T)
+        left = stationary - self._transition @ stationary @ self._transition.T
+        self._increment = np.linalg.cholesky(left)
+        self._state: Array = np.linalg.cholesky(stationary) @ rng.standard_normal(len(a))
 
-    def sample() -> Array:
-        nonlocal state
-        output = c @ state
-        state = transition @ state + increment @ rng.standard_normal(len(a))
-        return output
+    def draw(self, n: int) -> Array:
+        """Sample the next n, shape (n, number of filters); the same in pieces or at once."""
+        noise = self._rng.standard_normal((n, len(self._state)))
+        if self._of_one_state:
+            return self._draw_apart(noise)
+        rows = np.empty((n, len(self._c)))
+        for row, white in zip(rows, noise, strict=True):
+            row[:] = self._c @ self._state
+            self._state = self._transition @ self._state + self._increment @ white
+        return rows
 
-    return sample
+    def _draw_apart(self, noise: Array) -> Array:
+        """Draw from filters of one state each, one after the other."""
+        noise *= np.diag(self._increment)
+        states = np.empty_like(noise)
+        for i, kept in enumerate(np.diag(self._transition).tolist()):
+            state, column = float(self._state[i]), []
+            for white in noise[:, i].tolist():
+                column.append(state)
+                state = kept * state + white
+            states[:, i], self._state[i] = column, state
+        return np.asarray(states * np.diag(self._c))

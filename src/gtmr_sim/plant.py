@@ -12,6 +12,7 @@ import ctypes
 import math
 from collections.abc import Callable
 from functools import cache, lru_cache, partial
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -43,7 +44,7 @@ ADVANCE = """
 #include <string.h>
 
 /* memory: the state, what is held, and the least squared distance from the tower's axis. */
-void plant_advance(double *memory, int steps)
+int plant_advance(double *memory, int steps)
 {
     double next[N_STATE];
     for (; steps > 0; --steps) {
@@ -54,6 +55,7 @@ void plant_advance(double *memory, int steps)
         if (!(squared >= memory[LEAST]))
             memory[LEAST] = squared;
     }
+    return 0;
 }
 """
 
@@ -88,20 +90,74 @@ class Plant:
         world: World = PAPER,
     ) -> None:
         self._integrate = _integrator(vehicle, step_s, tower, effects, world.in_plant)
-        self.zeta: Array = np.asarray(zeta, dtype=float)
-        """The true mismatch and wind bias from now on, eq. (4), shape (9,)."""
-        self.x: Array = np.array(x, dtype=float)
-        self.setpoints_hz: Array = self.x[ROTORS].copy() if world.motors else np.zeros(0)
-        """Setpoints of the motors now [Hz], shape (N_p,); (0,) if there are none."""
-        self.air_m_s: Array = np.zeros(3 if world.wind else 0)
-        """Velocity of the air from now on, world frame, shape (3,) [m/s]; (0,) without wind."""
+        x = np.asarray(x, dtype=float)
+        setpoints = x[ROTORS] if world.motors else np.zeros(0)
+        air = np.zeros(3 if world.wind else 0)
+        least = float(x[0] * x[0] + x[1] * x[1])
+        zeta, held = np.asarray(zeta, dtype=float), np.zeros(vehicle.n_rotors)
+        parts = (x, setpoints, held, zeta, np.zeros(3), air, (least,))
+        # The compiled code is shared between flights and threads; what it writes to is not.
+        self.memory: Array = np.concatenate(parts)
+        """What the compiled step works on: state and setpoints, input, zeta, gust, air, and the
+        least squared distance from the tower's axis so far [m^2]."""
+        starts = np.cumsum([0, *map(len, parts)]).tolist()
+        views = [self.memory[i:j] for i, j in pairwise(starts)]
+        self._x, self._setpoints_hz, self._u, self._zeta, self._w_g, self._air_m_s, _ = views
         self._tower = tower
-        self._least = float(self.x[0] * self.x[0] + self.x[1] * self.x[1])
+
+    @property
+    def x(self) -> Array:
+        """State now, shape (12 + N_p,); a copy."""
+        return self._x.copy()
+
+    @x.setter
+    def x(self, x: ArrayLike) -> None:
+        self._x[:] = x
+
+    @property
+    def zeta(self) -> Array:
+        """The true mismatch and wind bias from now on, eq. (4), shape (9,); a copy."""
+        return self._zeta.copy()
+
+    @zeta.setter
+    def zeta(self, zeta: ArrayLike) -> None:
+        self._zeta[:] = zeta
+
+    @property
+    def setpoints_hz(self) -> Array:
+        """Setpoints of the motors now [Hz], shape (N_p,); (0,) if there are none; a copy."""
+        return self._setpoints_hz.copy()
+
+    @setpoints_hz.setter
+    def setpoints_hz(self, setpoints_hz: ArrayLike) -> None:
+        self._setpoints_hz[:] = setpoints_hz
+
+    @property
+    def air_m_s(self) -> Array:
+        """Velocity of the air from now on, world frame [m/s], shape (3,); (0,) without wind.
+
+        A copy.
+        """
+        return self._air_m_s.copy()
+
+    @air_m_s.setter
+    def air_m_s(self, air_m_s: ArrayLike) -> None:
+        self._air_m_s[:] = air_m_s
+
+    @property
+    def u(self) -> Array:
+        """Input that was commanded last [Hz/s], shape (N_p,); a copy."""
+        return self._u.copy()
+
+    @property
+    def w_g(self) -> Array:
+        """Gust that acted last, world frame [N], shape (3,); a copy."""
+        return self._w_g.copy()
 
     @property
     def least_clearance_m(self) -> float:
         """Least d_T of any plant step so far, the start included [m]."""
-        return float(self._tower.clearance([math.sqrt(self._least), 0.0]))
+        return float(self._tower.clearance([math.sqrt(self.memory[-1]), 0.0]))
 
     def advance(self, u: ArrayLike, w_g: ArrayLike, steps: int) -> None:
         """Fly on for some integration steps with input and gust held.
@@ -110,15 +166,24 @@ class Plant:
         cut off. Where there are motors, u is the rate of their setpoints. The gust force w_g,
         shape (3,), is in the world frame [N].
         """
-        # The compiled code is shared between flights and threads; what it writes to is not.
-        memory = np.concatenate(
-            (self.x, self.setpoints_hz, u, self.zeta, w_g, self.air_m_s, (self._least,))
-        )
-        self._integrate(memory, steps)
-        n_x = self.x.size
-        self.x = memory[:n_x].copy()
-        self.setpoints_hz = memory[n_x : n_x + self.setpoints_hz.size].copy()
-        self._least = float(memory[-1])
+        self._u[:] = u
+        self._w_g[:] = w_g
+        self._integrate(self.memory, steps)
+
+    @property
+    def addresses(self) -> tuple[int, ...]:
+        """Where x, the setpoints, u, w_g and the air lie in its memory, for compiled code."""
+        views = (self._x, self._setpoints_hz, self._u, self._w_g, self._air_m_s)
+        return tuple(view.ctypes.data for view in views)
+
+    @property
+    def function(self) -> int | None:
+        """Address of the compiled `advance`, which takes its memory and a number of steps.
+
+        None where it is not compiled, or a class of yours has an ``advance`` of its own.
+        """
+        own = type(self).advance is not Plant.advance
+        return None if own else getattr(self._integrate, "address", None)
 
 
 @lru_cache(maxsize=64)
@@ -135,7 +200,7 @@ def _integrator(
             # What a function of somebody else's gives, only its result says.
             return _compiled(step())
         values = (vehicle, step_s, tower, world)
-        return _calling(load_generated("the plant", "gtmr_sim", values, lambda: _sources(step())))
+        return _Compiled(load_generated("the plant", "gtmr_sim", values, lambda: _sources(step())))
     except CompileError as error:
         warn_interpreted(error)
         return partial(_interpreted, step())
@@ -190,7 +255,7 @@ def _plant_step(
 
 
 def _compiled(step: ca.Function) -> Integrator:
-    return _calling(load_library("the plant", *_sources(step)))
+    return _Compiled(load_library("the plant", *_sources(step)))
 
 
 def _sources(step: ca.Function) -> tuple[dict[str, str], dict[str, tuple[str, ...]]]:
@@ -208,13 +273,16 @@ def _sources(step: ca.Function) -> tuple[dict[str, str], dict[str, tuple[str, ..
     )
 
 
-def _calling(library: ctypes.CDLL) -> Integrator:
-    library.plant_advance.restype = None
+class _Compiled:
+    """An `Integrator` in C."""
 
-    def integrate(memory: Array, steps: int) -> None:
-        library.plant_advance(ctypes.c_void_p(memory.ctypes.data), steps)
+    def __init__(self, library: ctypes.CDLL) -> None:
+        self._advance = library.plant_advance
+        self.address = ctypes.cast(self._advance, ctypes.c_void_p).value
+        """Of the function in memory."""
 
-    return integrate
+    def __call__(self, memory: Array, steps: int) -> None:
+        self._advance(ctypes.c_void_p(memory.ctypes.data), steps)
 
 
 def _interpreted(step: ca.Function, memory: Array, steps: int) -> None:

@@ -10,20 +10,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gtmr_guard import Guard, GuardConfig
-from gtmr_model.dynamics import POSITION, ROTORS, YAW
+from gtmr_codegen.library import CompileError, warn_interpreted
+from gtmr_guard import CAUSES, Guard, GuardConfig
+from gtmr_model.dynamics import POSITION, YAW
 from gtmr_sim.gust import make_gust
+from gtmr_sim.loop.compiled import CompiledLoop
+from gtmr_sim.loop.parts import Loop, Parts, Plan
+from gtmr_sim.loop.reference import ReferenceLoop
 from gtmr_sim.plant import Plant
 from gtmr_sim.registry import EFFECTS
 from gtmr_sim.scenario import Scenario, whole_steps
 from gtmr_sim.worlds.sensor import Sensor
-from gtmr_sim.worlds.wind import hover_drag, make_wind
+from gtmr_sim.worlds.wind import WindField, hover_drag, hover_force
 
 Array = NDArray[np.float64]
 
@@ -35,20 +38,6 @@ WARM_UP_S = 1.0
 """How long the guard observes a vehicle before its flight, if odometry has noise [s]."""
 MAX_GUARD_DELAY_S = 0.2
 """Delay beyond which the guard slows no further [s]."""
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """Commands for the rotors from a plant step on, one row for each plan step."""
-
-    start: int
-    """When the plan begins, in plant steps."""
-    u: Array
-    """Rotor accelerations [Hz/s], shape (N, N_p)."""
-    setpoints_hz: Array | None
-    """Rotor speeds at the plan steps [Hz], shape (N + 1, N_p); none if the plan has none."""
-    usable: bool
-    """Whether it can be sent to the rotors."""
 
 
 class Simulation:
@@ -89,10 +78,11 @@ class Simulation:
     def reset(self) -> None:
         """Go back to the start of the same flight."""
         scenario = self.scenario
+        odometry = scenario.world.odometry
         start = scenario.helix.initial_state(scenario.tower, scenario.vehicle)
         start[POSITION] += scenario.start_offset_m
         effects = tuple(EFFECTS[name] for name in scenario.effects)
-        self.plant = Plant(
+        self._plant = Plant(
             scenario.vehicle,
             scenario.zeta_array,
             start,
@@ -101,25 +91,37 @@ class Simulation:
             effects,
             scenario.world,
         )
-        self._gust = make_gust(scenario)
-        self._blow()
-        self._sensor = None
-        if not scenario.world.odometry.is_truth:
-            odometry, rng = scenario.world.odometry, scenario.rng("odometry")
-            self._sensor = Sensor(odometry, rng, scenario.step_s, self._sample)
-            self._sensor.measure(0, self.x)
-        self._handed_out = self._seen = -1
-        self._step = 0
-        self._no_plan = np.zeros((0, scenario.vehicle.n_rotors))
-        self._plan = _Plan(0, self._no_plan, None, True)
-        self._coming: list[tuple[int, _Plan]] = []
-        self._looked = 0
-        self._guarded_steps = 0
+        sensor, looked = None, 0
+        if not odometry.is_truth:
+            sensor = Sensor(odometry, scenario.rng("odometry"), scenario.step_s, self._sample)
         if self._guard is not None:
             self._guard.reset()
-            if self._sensor is not None:
+            if sensor is not None:
                 self._warm_up(self._guard)
-        self._draw_gust()
+                looked = -self._act
+        self._handed_out = -1
+        parts = Parts(
+            vehicle=scenario.vehicle,
+            step_s=scenario.step_s,
+            plan_step=self._plan_step,
+            hold=self._hold,
+            sample=self._sample,
+            watch=self._watch,
+            act=self._act,
+            has_motors=scenario.world.motors is not None,
+            plant=self._plant,
+            gust=make_gust(scenario),
+            wind=self._wind(),
+            sensor=sensor,
+            guard=self._guard,
+            looked=looked,
+        )
+        self._loop: Loop
+        try:
+            self._loop = CompiledLoop(parts)
+        except CompileError as error:
+            warn_interpreted(error)
+            self._loop = ReferenceLoop(parts)
 
     def _warm_up(self, guard: Guard) -> None:
         """Let the guard observe a vehicle before the start, until noise is no speed to it."""
@@ -134,24 +136,18 @@ class Simulation:
         unmoved = np.zeros(self.scenario.vehicle.n_rotors)
         for x[POSITION], x[YAW] in zip(before.position, before.yaw, strict=True):
             guard.step(period_s, sensor.reading(x), unmoved, -period_s, 0.0)
-        self._looked = -self._act
 
-    def _blow(self) -> None:
+    def _wind(self) -> WindField | None:
         """Start the wind of the scenario, if its world has one."""
         scenario = self.scenario
-        self._wind = None
-        if scenario.world.wind is not None:
-            wind, zeta = scenario.world.wind, scenario.zeta_array
-            self._hover_drag = hover_drag(wind, zeta, scenario.vehicle)
-            self._wind = make_wind(
-                scenario.world.wind,
-                scenario.zeta_array,
-                scenario.vehicle,
-                scenario.tower,
-                scenario.rng("wind"),
-                scenario.gust_hold_s,
-                float(self.plant.x[2]),
-            )
+        if scenario.world.wind is None:
+            return None
+        wind, zeta = scenario.world.wind, scenario.zeta_array
+        self._hover_drag = hover_drag(wind, zeta, scenario.vehicle)
+        rng, height_m = scenario.rng("wind"), float(self.x[2])
+        return WindField(
+            wind, zeta, scenario.vehicle, scenario.tower, rng, scenario.gust_hold_s, height_m
+        )
 
     def reconfigure(self, scenario: Scenario) -> None:
         """Continue in another scenario: with another zeta, other gusts, other bounds.
@@ -162,16 +158,26 @@ class Simulation:
         old, self.scenario = self.scenario, scenario
         self.plant.zeta = scenario.zeta_array
         if (scenario.gust, scenario.uncertainty) != (old.gust, old.uncertainty):
-            self._gust = make_gust(scenario)
+            self._loop.replace(gust=make_gust(scenario))
         if scenario.zeta != old.zeta:
-            self._blow()
+            self._loop.replace(wind=self._wind())
         if self._guard is not None and scenario.tower != old.tower:
             self._guard.reconfigure(scenario.tower)
 
     @property
+    def plant(self) -> Plant:
+        """The true vehicle; another one may take its place in flight."""
+        return self._plant
+
+    @plant.setter
+    def plant(self, plant: Plant) -> None:
+        self._plant = plant
+        self._loop.replace(plant=plant)
+
+    @property
     def time_s(self) -> float:
         """Simulated time since the start [s]."""
-        return self._step * self.scenario.step_s
+        return self._loop.step * self.scenario.step_s
 
     @property
     def x(self) -> Array:
@@ -181,7 +187,7 @@ class Simulation:
     @property
     def gust_n(self) -> Array:
         """Gust force that acts from now on, world frame [N], shape (3,)."""
-        return self._w_g
+        return self._loop.gust_n
 
     @property
     def wind_n(self) -> Array:
@@ -189,9 +195,18 @@ class Simulation:
 
         In a world without a wind field it is w_b of eq. (3).
         """
-        if self._wind is None:
+        return self.wind_of(self.plant.air_m_s)
+
+    def wind_of(self, air_m_s: Array) -> Array:
+        """Say the same of velocities of the air, world frame [m/s], shape (..., 3)."""
+        if self.scenario.world.wind is None:
             return self.scenario.zeta_array[6:9]
-        return np.asarray(self._hover_drag @ self.plant.air_m_s)
+        return hover_force(self._hover_drag, air_m_s)
+
+    @property
+    def compiled(self) -> CompiledLoop | None:
+        """What flies it in C, where there is a compiler."""
+        return self._loop if isinstance(self._loop, CompiledLoop) else None
 
     @property
     def least_clearance_m(self) -> float:
@@ -204,14 +219,11 @@ class Simulation:
         The state has shape (12 + N_p,), with angles between -pi and pi where it is measured. None
         if nothing new has arrived.
         """
-        newest = self._newest()
+        newest = self._loop.newest()
         if newest is None or newest[0] <= self._handed_out:
             return None
         self._handed_out = newest[0]
         return newest[0] * self.scenario.step_s, newest[1].copy()
-
-    def _newest(self) -> tuple[int, Array] | None:
-        return (self._step, self.x) if self._sensor is None else self._sensor.newest(self._step)
 
     @property
     def plan_index(self) -> int:
@@ -219,22 +231,22 @@ class Simulation:
 
         Past its end the rotors hold their speeds, until the guard takes charge.
         """
-        return (self._step - self._plan.start) // self._plan_step
+        return (self._loop.step - self._loop.plan_start) // self._plan_step
 
     @property
     def guard_active(self) -> bool:
         """Whether the guard is in charge."""
-        return self._guard is not None and self._guard.active
+        return self._loop.cause != 0
 
     @property
     def guard_cause(self) -> str:
         """Why the guard is in charge, one of `gtmr_guard.CAUSES`; empty if it is not."""
-        return self._guard.cause if self._guard is not None else ""
+        return CAUSES[self._loop.cause]
 
     @property
     def guard_time_s(self) -> float:
         """How long the guard has been in charge, since the start of the flight [s]."""
-        return self._guarded_steps * self.scenario.step_s
+        return self._loop.guarded * self.scenario.step_s
 
     def command(
         self, stamp_s: float, u_plan: ArrayLike, setpoints_hz: ArrayLike | None = None
@@ -254,114 +266,27 @@ class Simulation:
             out: integrated from ``u_plan``, from the last setpoint on.
         """
         plan = np.asarray(u_plan, dtype=float)
-        world, usable = self.scenario.world, True
-        told = None
-        if world.motors is not None and setpoints_hz is not None:
+        told, motors, n_rotors = None, self.scenario.world.motors, self.scenario.vehicle.n_rotors
+        fits = plan.ndim == 2 and plan.shape[1] == n_rotors
+        # The quickest way to see what is infinite or no number.
+        finite = isfinite(np.vdot(plan, plan))
+        if motors is not None and setpoints_hz is not None:
             told = np.asarray(setpoints_hz, dtype=float)
-        if self._guard is not None:
-            # The quickest way to see what is infinite or no number.
-            usable = isfinite(np.vdot(plan, plan)) and plan.shape[1:] == self._no_plan.shape[1:]
-            if told is not None:
-                usable = usable and isfinite(np.vdot(told, told))
-                usable = usable and told.shape == (len(plan) + 1, *plan.shape[1:])
-        transport_s = 0.0 if world.motors is None else world.motors.transport_s
-        start = round((stamp_s + transport_s) / self.scenario.step_s)
+            fits = fits and told.shape == (len(plan) + 1, n_rotors)
+            finite = finite and isfinite(np.vdot(told, told))
+        if not fits and self._guard is None:
+            raise ValueError(f"u_plan has shape {plan.shape}, expected (N, {n_rotors})")
+        usable = self._guard is None or (fits and finite)
         if not usable:
-            plan, told = self._no_plan, None
-        new = _Plan(start, plan, told, usable)
-        acts = max(start, self._step + round(transport_s / self.scenario.step_s))
-        self._coming = [each for each in self._coming if each[0] < acts]
-        self._coming.append((acts, new))
-        self._take_over()
-
-    def _take_over(self) -> None:
-        """Play the plan whose time has come."""
-        while self._coming and self._coming[0][0] <= self._step:
-            self._plan = self._coming.pop(0)[1]
+            plan, told = np.zeros((0, n_rotors)), None
+        transport_s = 0.0 if motors is None else motors.transport_s
+        start = round((stamp_s + transport_s) / self.scenario.step_s)
+        acts = max(start, self._loop.step + round(transport_s / self.scenario.step_s))
+        self._loop.play(Plan(start, plan, told, usable), acts)
 
     def advance(self, duration_s: float) -> None:
         """Fly, playing the plan."""
-        end = self._step + self._steps("duration_s", duration_s)
-        while self._step < end:
-            into_plan = (self._step - self._plan.start) % self._plan_step
-            into_hold = self._step % self._hold
-            n = min(end - self._step, self._plan_step - into_plan, self._hold - into_hold)
-            if self._coming:
-                n = min(n, self._coming[0][0] - self._step)
-            if self._sensor is not None:
-                n = min(n, self._sample - self._step % self._sample)
-            u = self._input()
-            if self._guard is not None and not self._awaits_first_plan:
-                u, until = self._guarded(self._guard, u)
-                n = min(n, until - self._step)
-                self._guarded_steps += n * self._guard.active
-            if self.scenario.world.motors is not None:
-                u = self._tell_motors(u)
-            self.plant.advance(u, self._w_g, n)
-            self._step += n
-            if self._coming:
-                self._take_over()
-            if self._step % self._hold == 0:
-                self._draw_gust()
-            if self._sensor is not None and self._step % self._sample == 0:
-                self._sensor.measure(self._step, self.plant.x)
-
-    @property
-    def _awaits_first_plan(self) -> bool:
-        """Whether the first plan has come and is not due yet: rotors hold their speeds."""
-        return bool(self._coming) and self._plan.u is self._no_plan and self._plan.usable
-
-    def _input(self) -> Array:
-        index = self.plan_index
-        if 0 <= index < len(self._plan.u):
-            return self._plan.u[index]
-        return np.zeros(self.scenario.vehicle.n_rotors)
-
-    def _tell_motors(self, u: Array) -> Array:
-        """Set the motors' setpoints for now; gives their rate [Hz/s], shape (N_p,)."""
-        vehicle, told = self.scenario.vehicle, self._plan.setpoints_hz
-        if told is None or self.guard_active:
-            # Not beyond what rotors can follow, or they would not turn back at once.
-            low, high = vehicle.min_rotor_speed_hz, vehicle.max_rotor_speed_hz
-            self.plant.setpoints_hz = np.clip(self.plant.setpoints_hz, low, high)
-            return u
-        steps, into = divmod(self._step - self._plan.start, self._plan_step)
-        if steps >= len(told) - 1:
-            self.plant.setpoints_hz = told[-1].copy()
-            return np.zeros_like(u)
-        change = told[steps + 1] - told[steps]
-        self.plant.setpoints_hz = told[steps] + into / self._plan_step * change
-        return change / (self._plan_step * self.scenario.step_s)
-
-    def _guarded(self, guard: Guard, u: Array) -> tuple[Array, int]:
-        """Step the guard if it is time; returns the input, and when the next step is."""
-        period = self._act if guard.active else self._watch
-        if self._step % period == 0:
-            step_s, age = self.scenario.step_s, self._step - self._plan.start
-            overdue_s = (age - len(self._plan.u) * self._plan_step) * step_s
-            due = u if self._plan.usable else np.full(len(u), np.nan)
-            dt_s = (self._step - self._looked) * step_s
-            self._looked = self._step
-            self._guard_input = guard.step(dt_s, self._sight(), due, overdue_s, age * step_s)
-            period = self._act if guard.active else self._watch
-        until = (self._step // period + 1) * period
-        return (self._guard_input if guard.active else u), until
-
-    def _sight(self) -> Array:
-        """Give the guard the newest measured state, NaN if nothing new arrived."""
-        newest = self._newest()
-        if newest is None or newest[0] <= self._seen:
-            return np.full_like(self.x, np.nan)
-        self._seen = newest[0]
-        seen = newest[1].copy()
-        # It sits at the actuators, whose speeds it reads at once.
-        seen[ROTORS] = self.x[ROTORS]
-        return seen
-
-    def _draw_gust(self) -> None:
-        self._w_g = self._gust(self.time_s, self.plant.x[:3])
-        if self._wind is not None:
-            self.plant.air_m_s = self._wind(self.plant.x[:3])
+        self._loop.advance(self._loop.step + self._steps("duration_s", duration_s))
 
     def _steps(self, name: str, time_s: float) -> int:
         return whole_steps(name, time_s, "step_s", self.scenario.step_s)

@@ -22,13 +22,13 @@ CONFIG = ControllerConfig()
 
 @pytest.fixture
 def interpreted(monkeypatch):
-    monkeypatch.setattr(plant, "_compiled", _no_compiler)
+    monkeypatch.setattr(plant, "load_generated", _no_compiler)
     plant._integrator.cache_clear()
     yield
     plant._integrator.cache_clear()
 
 
-def _no_compiler(_):
+def _no_compiler(*_):
     raise CompileError("no C compiler found")
 
 

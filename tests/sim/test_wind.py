@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from gtmr_model import ConfigError, Helix, Tower, UncertaintySet, Vehicle
 from gtmr_sim import Plant, Scenario, Simulation, World, fly
-from gtmr_sim.worlds.wind import Wind, around_tower, far_wind, hover_drag, make_wind, wake_deficit
+from gtmr_sim.worlds.wind import Wind, WindField, around_tower, far_wind, hover_drag, wake_deficit
 
 VEHICLE, TOWER = Vehicle.paper(), Tower(radius_m=2.0)
 START = Helix().initial_state(Tower(), VEHICLE)
@@ -88,7 +88,7 @@ def test_behind_the_tower_it_is_slower_by_the_wake_and_before_it_is_not():
 
 
 def sampled(wind, zeta=ZETA, seed=0):
-    return make_wind(wind, zeta, VEHICLE, TOWER, np.random.default_rng(seed), 0.025, 2.0)
+    return WindField(wind, zeta, VEHICLE, TOWER, np.random.default_rng(seed), 0.025, 2.0)
 
 
 def test_the_mean_wind_grows_with_height_by_the_power_law():

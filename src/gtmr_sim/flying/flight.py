@@ -11,16 +11,15 @@
 from __future__ import annotations
 
 import inspect
-import time
 from collections.abc import Callable
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gtmr_model import ConfigError, YamlModel, airframe_clearance
 from gtmr_sim.flying.log import FlightLog
-from gtmr_sim.flying.step import BY_STAGE, Step
+from gtmr_sim.flying.native import fly_natively, native_step
+from gtmr_sim.flying.stepwise import StepController, fly_stepwise
 from gtmr_sim.scenario import Scenario, whole_steps
 from gtmr_sim.simulation import Simulation
 
@@ -33,28 +32,6 @@ STEADY_S = 10.0
 slowest answer."""
 ROUNDING_N = 1e-9
 """By how much a force may exceed its bound and be within it [N]."""
-
-
-class FlightError(ValueError):
-    """A controller gave what cannot be flown; the message is one line naming it and the time."""
-
-
-class StepController(Protocol):
-    """Anything that flies the vehicle."""
-
-    def step(self, t: float, x: Array) -> Any:
-        """Decide from state x, shape (12 + N_p,), at time t [s].
-
-        Either rotor accelerations to hold until the next step [Hz/s], shape (N_p,), or an object
-        whose ``u_plan``, shape (n, N_p), is played one row a sampling time. Such an object may
-        also have ``setpoints_hz``, shape (n + 1, N_p), which motors follow where the world has
-        some, and ``alpha_p``, ``alpha_g``, ``slack``, ``status`` and ``timing.total_s`` as a
-        `gtmr_nmpc.Solution` has them; what it has goes into the flight's log.
-
-        In a world whose odometry is late, t is the stamp of what was measured, and a ``step`` that
-        takes ``now`` is also told the time from which its plan is played [s].
-        """
-        ...
 
 
 def fly(
@@ -97,66 +74,23 @@ def fly(
     simulation = Simulation(scenario, sampling_time_s)
     delay_s = scenario.world.odometry.delay_s
     tells_now = delay_s > 0.0 and "now" in inspect.signature(controller.step).parameters
-    times, states, gusts, winds, guarded = [], [], [], [], []
-    measured: list[Array] = []
-    taken: list[Step] = []
-    for k in range(steps):
-        t = simulation.time_s
-        states.append(simulation.x)
-        # Only at the start there is always one; late measurements may leave a gap after it.
-        newest = simulation.measured()
-        if newest is None:
-            measured.append(measured[-1])
-            taken.append(taken[-1])
-        else:
-            stamp_s, x = newest
-            measured.append(x.copy())
-            now_s = stamp_s + delay_s if tells_now else stamp_s
-            start = time.perf_counter()
-            # The copy of a measurement: what a controller does to it must not reach the plant.
-            result = (
-                controller.step(stamp_s, x, now=now_s)  # type: ignore[call-arg]
-                if tells_now
-                else controller.step(stamp_s, x)
-            )
-            elapsed_s = time.perf_counter() - start
-            try:
-                step = Step.of(result, scenario.vehicle.n_rotors, elapsed_s)
-                if taken and step.told != taken[0].told:
-                    raise ValueError(f"told {step.told}, in its first step {taken[0].told}")
-            except (TypeError, ValueError) as error:
-                name = type(controller).__name__
-                raise FlightError(f"{name}.step at t = {t:g} s: {error}") from None
-            taken.append(step)
-            simulation.command(now_s, step.u_plan, step.setpoints_hz)
-        times.append(t)
-        gusts.append(simulation.gust_n)
-        winds.append(simulation.wind_n)
-        simulation.advance(sampling_time_s)
-        guarded.append(simulation.guard_active)
-        if on_step is not None:
-            on_step(k + 1)
-    x = np.array(states)
-    told = [step.failed for step in taken if step.failed is not None]
-    w_g, wind = np.array(gusts), np.array(winds)
-    steady = _moving_mean(wind, round(STEADY_S / sampling_time_s))
-    rest = np.linalg.norm(wind - steady + w_g, axis=1)
+    native = native_step(controller) if simulation.compiled is not None else None
+    given = (tells_now, sampling_time_s, steps, on_step)
+    rows = (
+        fly_stepwise(simulation, controller, *given)
+        if native is None
+        else fly_natively(simulation, controller, native, *given)
+    )
+    steady = _moving_mean(rows.wind_n, round(STEADY_S / sampling_time_s))
+    rest = np.linalg.norm(rows.wind_n - steady + rows.w_g, axis=1)
     bounds = scenario.uncertainty
     return FlightLog(
-        t=np.array(times),
-        x=x,
-        x_measured=np.array(measured),
-        u=np.array([step.u_plan[0] for step in taken]),
+        **vars(rows),
+        t=np.arange(steps) * round(sampling_time_s / scenario.step_s) * scenario.step_s,
         zeta=scenario.zeta_array,
-        w_g=w_g,
-        d_T=scenario.tower.clearance(x),
-        d_airframe=airframe_clearance(x, scenario.vehicle, scenario.tower),
-        **{name: np.array([getattr(step, name) for step in taken]) for name in BY_STAGE},
-        solve_ms=np.array([step.solve_ms for step in taken]),
-        failed=np.array(told, dtype=bool),
-        guard=np.array(guarded, dtype=bool),
+        d_T=scenario.tower.clearance(rows.x),
+        d_airframe=airframe_clearance(rows.x, scenario.vehicle, scenario.tower),
         least_clearance_m=simulation.least_clearance_m,
-        wind_n=wind,
         steady_wind_within=_within(np.abs(steady), np.array(bounds.wind_bias_n)),
         gusts_within=_within(rest[:, None], np.array([bounds.gust_n])),
         sampling_time_s=sampling_time_s,

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What is kept of one step of a controller."""
+"""What is kept of the steps of a flight."""
 
 from __future__ import annotations
 
@@ -72,3 +72,20 @@ class Step:
             solve_ms=1e3 * (elapsed_s if timing is None else timing.total_s),
             failed=None if status is None else status == "failed",
         )
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What is kept of all steps, one row each; fields as in `FlightLog`."""
+
+    x: Array
+    x_measured: Array
+    u: Array
+    w_g: Array
+    wind_n: Array
+    alpha_p: Array
+    alpha_g: Array
+    slack: Array
+    solve_ms: Array
+    failed: NDArray[np.bool_]
+    guard: NDArray[np.bool_]

@@ -83,10 +83,10 @@ class Sensor:
     def __init__(
         self, odometry: Odometry, rng: np.random.Generator, step_s: float, period: int
     ) -> None:
-        self._is, self._rng, self._step_s = odometry, rng, step_s
+        self.odometry, self._rng, self._step_s = odometry, rng, step_s
         self.period = period
         """Plant steps between two measurements."""
-        self._std = np.repeat(
+        self.std: Array = np.repeat(
             [
                 odometry.position_std_m,
                 math.radians(odometry.attitude_std_deg),
@@ -95,8 +95,13 @@ class Sensor:
             ],
             3,
         )
-        self._kept = math.exp(-period * step_s / odometry.bias_time_s)
-        self._bias = odometry.bias_std_m * rng.standard_normal(3)
+        """Of the noise of position, attitude, velocity and rates, shape (12,)."""
+        self.bias_kept = math.exp(-period * step_s / odometry.bias_time_s)
+        """Part of the bias that is left at the next measurement [-]."""
+        self.bias_spread_m = odometry.bias_std_m * math.sqrt(1.0 - self.bias_kept**2)
+        """Deviation of what comes to it [m]."""
+        self.bias_m: Array = odometry.bias_std_m * rng.standard_normal(3)
+        """Bias of the position now, shape (3,) [m]."""
         self._on_way: list[tuple[int, int, Array]] = []
         self._newest: tuple[int, Array] | None = None
 
@@ -104,15 +109,25 @@ class Sensor:
         """Measure a state, shape (12 + N_p,), which is then as it would arrive."""
         noise, drift = self._rng.standard_normal(12), self._rng.standard_normal(3)
         measured = x.copy()
-        measured[:12] += self._std * noise
-        measured[POSITION] += self._bias
+        measured[:12] += self.std * noise
+        measured[POSITION] += self.bias_m
         measured[ATTITUDE] = np.remainder(measured[ATTITUDE] + math.pi, math.tau) - math.pi
-        if self._is.rotor_quantum_hz > 0.0:
-            quantum = self._is.rotor_quantum_hz
+        if self.odometry.rotor_quantum_hz > 0.0:
+            quantum = self.odometry.rotor_quantum_hz
             measured[ROTORS] = quantum * np.round(measured[ROTORS] / quantum)
-        spread = self._is.bias_std_m * math.sqrt(1.0 - self._kept**2)
-        self._bias = self._kept * self._bias + spread * drift
+        self.bias_m = self.bias_kept * self.bias_m + self.bias_spread_m * drift
         return measured
+
+    def draw(self, n: int) -> Array:
+        """Draw the random numbers of the next n measurements ahead, shape (n, 17).
+
+        A row has those of the noise (12) and the bias (3), and even ones for age and loss.
+        """
+        rows = np.empty((n, 17))
+        for row in rows:
+            self._rng.standard_normal(out=row[:15])
+            self._rng.random(out=row[15:])
+        return rows
 
     def measure(self, step: int, x: Array) -> None:
         """Measure the true state, shape (12 + N_p,), at a plant step; it arrives in time."""
@@ -121,8 +136,8 @@ class Sensor:
         if step == 0:
             # A flight goes on from one before it: its first state is known.
             self._on_way.append((step, step, measured))
-        elif lost >= self._is.dropout:
-            age_s = self._is.delay_s - early * self._is.jitter_s
+        elif lost >= self.odometry.dropout:
+            age_s = self.odometry.delay_s - early * self.odometry.jitter_s
             # Up to the next plant step, but for rounding.
             age = math.ceil(age_s / self._step_s - 1e-6)
             self._on_way.append((step + age, step, measured))

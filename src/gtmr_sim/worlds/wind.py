@@ -11,7 +11,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Annotated, Any
 
 import casadi as ca
@@ -21,13 +20,10 @@ from pydantic import Field
 
 from gtmr_model import ConfigError, Tower, Vehicle, YamlModel
 from gtmr_model.dynamics import ATTITUDE, RATE, ROTORS, VELOCITY, rotation
-from gtmr_sim.noise import coloured_noise, dryden
+from gtmr_sim.noise import ColouredNoise, dryden
 
 Array = NDArray[np.float64]
 Amount = Annotated[float, Field(ge=0.0)]
-WindField = Callable[[Array], Array]
-"""Maps a position, world frame [m], to the wind there from now on, world frame [m/s], both of
-shape (3,); called once every gust hold."""
 
 
 class Wind(YamlModel):
@@ -78,6 +74,12 @@ def hover_drag(wind: Wind, zeta: Array, vehicle: Vehicle) -> Array:
     return drag
 
 
+def hover_force(drag: Array, air_m_s: Array) -> Array:
+    """Force of the wind by that drag [N] at air velocities [m/s], both of shape (..., 3)."""
+    force: Array = sum(drag[:, i] * air_m_s[..., i, None] for i in range(3))  # type: ignore[assignment]
+    return force
+
+
 def around_tower(wind: Wind, far: Array, position: Array, tower: Tower) -> Array:
     """Mean wind at a position [m] for a horizontal far wind, world frame [m/s], shape (3,).
 
@@ -89,7 +91,9 @@ def around_tower(wind: Wind, far: Array, position: Array, tower: Tower) -> Array
     along = np.array([far[0], far[1], 0.0]) / speed
     across = np.array([-along[1], along[0], 0.0])
     # In tower radii; inside the tower as on its surface.
-    x, y = (float(axis @ position) / tower.radius_m for axis in (along, across))
+    # Sums in this order everywhere, as in the compiled loop.
+    x = (along[0] * position[0] + along[1] * position[1]) / tower.radius_m
+    y = (across[0] * position[0] + across[1] * position[1]) / tower.radius_m
     r = math.hypot(x, y)
     if r < 1.0:
         x, y, r = (x / r, y / r, 1.0) if r > 0.0 else (-1.0, 0.0, 1.0)
@@ -110,39 +114,48 @@ def wake_deficit(drag_coefficient: float, x: float, y: float) -> float:
     width = (x * x + y * y) ** 0.25
     if x <= 0.0 or abs(y) >= width:
         return 0.0
-    return min(1.0, drag_coefficient / width * math.cos(0.5 * math.pi * y / width) ** 2)
+    cosine = math.cos(0.5 * math.pi * y / width)
+    return min(1.0, drag_coefficient / width * (cosine * cosine))
 
 
-def make_wind(
-    wind: Wind,
-    zeta: Array,
-    vehicle: Vehicle,
-    tower: Tower,
-    rng: np.random.Generator,
-    hold_s: float,
-    height_m: float,
-) -> WindField:
-    """Start the wind of a flight with its own random numbers; one sample every hold period [s].
+class WindField:
+    """The wind of a flight, one sample every hold period [s], with its own random numbers.
 
     The turbulence is that at the flight's start height [m].
     """
-    far = far_wind(wind, zeta, vehicle, rng)
-    speed = math.hypot(far[0], far[1])
-    along = far[:2] / speed if speed > 0.0 else np.array([1.0, 0.0])
-    turbulence: Callable[[], Array] | None = None
-    if wind.turbulence_m_s > 0.0 and speed > 0.0:
-        turbulence = coloured_noise(dryden(wind.turbulence_m_s, speed, height_m), rng, hold_s)
 
-    def sample(position: Array) -> Array:
+    def __init__(
+        self,
+        wind: Wind,
+        zeta: Array,
+        vehicle: Vehicle,
+        tower: Tower,
+        rng: np.random.Generator,
+        hold_s: float,
+        height_m: float,
+    ) -> None:
+        self.wind, self.tower = wind, tower
+        self.far = far_wind(wind, zeta, vehicle, rng)
+        """Mean wind far from the tower, at the reference height, world frame [m/s], (3,)."""
+        speed = math.hypot(self.far[0], self.far[1])
+        self.along: Array = self.far[:2] / speed if speed > 0.0 else np.array([1.0, 0.0])
+        """Its horizontal direction, shape (2,)."""
+        self.turbulence: ColouredNoise | None = None
+        """Along it, across it and up [m/s]."""
+        if wind.turbulence_m_s > 0.0 and speed > 0.0:
+            filters = dryden(wind.turbulence_m_s, speed, height_m)
+            self.turbulence = ColouredNoise(filters, rng, hold_s)
+
+    def __call__(self, position: Array) -> Array:
+        """Give the wind at a position [m] from now on, world frame [m/s], both of shape (3,)."""
+        wind, along = self.wind, self.along
         height = max(float(position[2]), 0.0) / wind.reference_height_m
         grown = height**wind.profile_exponent if wind.profile_exponent > 0.0 else 1.0
-        flow = around_tower(wind, grown * far, position, tower)
-        if turbulence is not None:
-            u, v, w = turbulence()
+        flow = around_tower(wind, grown * self.far, position, self.tower)
+        if self.turbulence is not None:
+            u, v, w = self.turbulence.draw(1)[0]
             flow = flow + np.array([along[0] * u - along[1] * v, along[1] * u + along[0] * v, w])
         return flow
-
-    return sample
 
 
 def wind_effect(wind: Wind, x: Any, zeta: Any, air: Any, vehicle: Vehicle) -> tuple[Any, Any]:
