@@ -8,6 +8,8 @@
 
 """The true vehicle: eq. (3) with the true zeta, finer steps, actuator limits, and its world."""
 
+from __future__ import annotations
+
 import ctypes
 import math
 from collections.abc import Callable
@@ -100,10 +102,21 @@ class Plant:
         self.memory: Array = np.concatenate(parts)
         """What the compiled step works on: state and setpoints, input, zeta, gust, air, and the
         least squared distance from the tower's axis so far [m^2]."""
-        starts = np.cumsum([0, *map(len, parts)]).tolist()
-        views = [self.memory[i:j] for i, j in pairwise(starts)]
-        self._x, self._setpoints_hz, self._u, self._zeta, self._w_g, self._air_m_s, _ = views
+        self._starts = np.cumsum([0, *map(len, parts)]).tolist()
+        self._look_at_memory()
         self._tower = tower
+
+    def _look_at_memory(self) -> None:
+        views = [self.memory[i:j] for i, j in pairwise(self._starts)]
+        self._x, self._setpoints_hz, self._u, self._zeta, self._w_g, self._air_m_s, _ = views
+
+    def __copy__(self) -> Plant:
+        """Give a plant that flies on by itself from here."""
+        other = object.__new__(type(self))
+        vars(other).update(vars(self))
+        other.memory = self.memory.copy()
+        other._look_at_memory()
+        return other
 
     @property
     def x(self) -> Array:

@@ -24,7 +24,8 @@ from gtmr_study.result_files import InputError
 
 pytestmark = pytest.mark.slow
 
-LQR = Path(__file__).parents[2] / "examples" / "05_own_controller.py"
+EXAMPLES = Path(__file__).parents[2] / "examples"
+LQR, PID = EXAMPLES / "05_own_controller.py", EXAMPLES / "09_pid_controller.py"
 BROKEN = """
 import numpy as np
 class Wrong:
@@ -49,35 +50,43 @@ def broken(tmp_path):
     return file
 
 
-def test_gtmr_fly_flies_the_example(gtmr, tmp_path):
+@pytest.mark.parametrize(("file", "name"), [(LQR, "Lqr"), (PID, "Pid")])
+def test_gtmr_fly_flies_the_examples(gtmr, tmp_path, file, name):
     out, told = tmp_path / "f.npz", tmp_path / "f.json"
-    arguments = ("--controller", f"{LQR}:Lqr", "--duration", 2, "--out", out, "--json", told)
+    arguments = ("--controller", f"{file}:{name}", "--duration", 2, "--out", out, "--json", told)
     ended = gtmr("fly", *arguments)
 
     assert ended.returncode == 0, ended.stderr
     result, log = json.loads(told.read_text()), np.load(out)
-    assert result["mode"] == "Lqr"
+    assert result["mode"] == name
     assert result["max_slack_m"] is None
     assert result["failed_steps"] is None
-    assert result["min_clearance_m"] == log["d_T"].min() > 0.2
+    assert result["min_clearance_m"] == log["d_T"].min() > 0.3
     assert log["alpha_p"].shape == (80, 0)
 
 
-def test_a_campaign_and_its_report_take_it(gtmr, tmp_path):
+@pytest.mark.parametrize("file", [LQR, PID], ids=lambda file: file.stem)
+def test_a_controller_of_ones_own_takes_less_than_sixty_lines(file):
+    lines = file.read_text(encoding="utf-8").splitlines()
+    assert sum(not line.startswith("#") for line in lines) < 60
+
+
+@pytest.mark.parametrize(("file", "name"), [(LQR, "Lqr"), (PID, "Pid")])
+def test_a_campaign_and_its_report_take_it(gtmr, tmp_path, file, name):
     out, arguments = tmp_path / "out", ("--trials", 3, "--duration", 0.5, "--workers", 1)
-    ended = gtmr("campaign", "--controller", f"{LQR}:Lqr", *arguments, "--out", out)
+    ended = gtmr("campaign", "--controller", f"{file}:{name}", *arguments, "--out", out)
     reported = gtmr("report", out, "--out", tmp_path / "report.html")
 
     assert ended.returncode == reported.returncode == 0, ended.stderr + reported.stderr
     rows = pd.read_csv(out / "trials.csv")
-    assert list(rows["mode"]) == ["Lqr"] * 3
+    assert list(rows["mode"]) == [name] * 3
     assert list(rows["status"]) == ["flown"] * 3
     assert rows[["max_slack_m", "failed_steps"]].isna().all(axis=None)
-    summary = json.loads((out / "summary.json").read_text())["Lqr"]
+    summary = json.loads((out / "summary.json").read_text())[name]
     assert summary["trials"] == 3
     assert summary["failed_steps"] is None
     page = (tmp_path / "report.html").read_text()
-    assert "Lqr" in page
+    assert name in page
     assert "not told" in page
     assert "still missing" not in page
 

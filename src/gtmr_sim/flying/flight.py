@@ -72,6 +72,8 @@ def fly(
     _require_made_for(config, scenario, sampling_time_s)
     steps = whole_steps("duration_s", duration_s, "sampling_time_s", sampling_time_s)
     simulation = Simulation(scenario, sampling_time_s)
+    if hasattr(controller, "see_truth"):
+        controller.see_truth(simulation)
     delay_s = scenario.world.odometry.delay_s
     tells_now = delay_s > 0.0 and "now" in inspect.signature(controller.step).parameters
     native = native_step(controller) if simulation.compiled is not None else None

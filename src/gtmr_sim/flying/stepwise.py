@@ -41,6 +41,9 @@ class StepController(Protocol):
 
         In a world whose odometry is late, t is the stamp of what was measured, and a ``step`` that
         takes ``now`` is also told the time from which its plan is played [s].
+
+        For oracles alone, which show what no controller can do better: one that has a method
+        ``see_truth(simulation)`` is handed the `Simulation` before its first step, to look at.
         """
         ...
 

@@ -15,6 +15,11 @@ from dataclasses import dataclass, field
 
 from gtmr_nmpc import MODES, Controller, ControllerConfig, Mode
 from gtmr_sim import Scenario, StepController
+from gtmr_study.rivals.feedback.indi import INDI
+from gtmr_study.rivals.feedback.lqr import LQR
+from gtmr_study.rivals.feedback.pid import PID
+from gtmr_study.rivals.fixed_margin import FIXED_MARGIN
+from gtmr_study.rivals.oracle import ORACLE
 
 Maker = Callable[[ControllerConfig, Scenario], StepController]
 """Makes a controller for one flight, from what it may know. The scenario is for an oracle alone:
@@ -37,11 +42,23 @@ def _mode(mode: Mode) -> Maker:
     return lambda config, _: Controller(config, mode)
 
 
+def _with_gradient(config: ControllerConfig, _: Scenario) -> StepController:
+    return Controller(config.model_copy(update={"tightening": "gradient"}), "robust")
+
+
 FAMILIES: dict[Mode, str] = {
     "nominal": "NMPC without a margin (the paper's)",
     "robust": "NMPC with first-order margins (the paper's)",
     "offset_free": "NMPC with a disturbance observer and margins of its closed loop",
 }
 
-RIVALS: dict[str, Rival] = {mode: Rival(FAMILIES[mode], _mode(mode)) for mode in MODES}
+RIVALS: dict[str, Rival] = {
+    "lqr": Rival("LQR about hover with a disturbance observer", LQR),
+    "pid": Rival("cascade of PIDs, geometric attitude control", PID),
+    "indi": Rival("incremental inversion on filtered accelerations", INDI),
+    **{mode: Rival(FAMILIES[mode], _mode(mode)) for mode in MODES},
+    "fixed_margin": Rival("nominal NMPC with a constant margin", FIXED_MARGIN),
+    "robust_gradient": Rival("the paper's, its margins in the QP with gradient", _with_gradient),
+    "oracle": Rival("NMPC that knows all but the future: the limit", ORACLE),
+}
 """Every controller of the arena."""

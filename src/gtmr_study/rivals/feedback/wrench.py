@@ -1,0 +1,90 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""From a wrench on the body to rotor accelerations, and the attitude that a force needs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gtmr_model import Vehicle
+from gtmr_model.vehicle import GRAVITY_M_S2
+
+Array = NDArray[np.float64]
+
+ROTOR_LOOP_S = 0.05
+"""Time constant with which rotors are brought to the speeds of a wrench [s]: two sampling times,
+the fastest that leaves a discrete loop well damped."""
+
+
+def rotation_of(eta: Array) -> Array:
+    """Rotation from body to world of roll, pitch and yaw [rad], shape (3, 3), as in the model."""
+    (a, b, c), (d, e, f) = np.cos(eta), np.sin(eta)
+    return np.array(
+        [
+            [c * b, c * e * d - f * a, c * e * a + f * d],
+            [f * b, f * e * d + c * a, f * e * a - c * d],
+            [-e, b * d, b * a],
+        ]
+    )
+
+
+def attitude_error(actual: Array, wanted: Array) -> Array:
+    """Attitude error on SO(3), body frame [rad], shape (3,) (Lee et al., CDC 2010, eq. 10)."""
+    skew = 0.5 * (wanted.T @ actual - actual.T @ wanted)
+    return np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
+
+
+class Wrench:
+    """Makes a vehicle's rotors produce a wrench."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        self.allocation = vehicle.allocation
+        """Wrench per squared rotor speed, body frame, shape (6, N_p)."""
+        self._inverse = np.linalg.pinv(self.allocation)
+        self._hover = vehicle.hover_rotor_speeds_hz**2
+        self._low = vehicle.min_rotor_speed_hz**2
+        self._high = vehicle.max_rotor_speed_hz**2
+        self._is_fully_actuated = np.linalg.matrix_rank(self._inverse) == 6
+        self.is_saturated = False
+        """Whether the last wrench was more than the rotors can give."""
+
+    def attitude_for(self, force: Array, yaw: float) -> Array:
+        """Rotation in which the vehicle can give a force, world frame [N], facing ``yaw`` [rad].
+
+        Level where the rotors push into any direction; tilted along the force where they cannot.
+        """
+        forward = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+        up = np.array([0.0, 0.0, 1.0]) if self._is_fully_actuated else force
+        up = up / np.linalg.norm(up)
+        left = np.cross(up, forward)
+        left /= np.linalg.norm(left)
+        return np.column_stack((np.cross(left, up), left, up))
+
+    def of(self, speeds_hz: Array) -> Array:
+        """Nominal wrench of rotor speeds [Hz], body frame [N, N m], shape (6,)."""
+        return np.asarray(self.allocation @ (speeds_hz * speeds_hz))
+
+    def rotor_accelerations(self, wrench: Array, speeds_hz: Array) -> Array:
+        """Bring rotors from their speeds [Hz] to those of a wrench; gives [Hz/s], shape (N_p,).
+
+        A wrench beyond the rotors' limits is scaled towards that of hover, so that a vehicle that
+        is asked for too much stays level and aloft.
+        """
+        change = self._inverse @ wrench - self._hover
+        room = np.where(change > 0.0, self._high - self._hover, self._hover - self._low)
+        excess = float(np.max(np.abs(change) / room))
+        self.is_saturated = excess > 1.0
+        squared = self._hover + change / max(1.0, excess)
+        return np.asarray((np.sqrt(squared) - speeds_hz) / ROTOR_LOOP_S)
+
+    def hover_force(self) -> Array:
+        """Force that holds the nominal vehicle, world frame [N], shape (3,)."""
+        return np.array([0.0, 0.0, self._vehicle.mass_kg * GRAVITY_M_S2])
