@@ -20,6 +20,7 @@ from gtmr_study.rivals.feedback.lqr import LQR
 from gtmr_study.rivals.feedback.pid import PID
 from gtmr_study.rivals.fixed_margin import FIXED_MARGIN
 from gtmr_study.rivals.oracle import ORACLE
+from gtmr_study.rivals.robust_mpc.ellipsoid import ELLIPSOID, ELLIPSOID_FEEDBACK
 
 Maker = Callable[[ControllerConfig, Scenario], StepController]
 """Makes a controller for one flight, from what it may know. The scenario is for an oracle alone:
@@ -59,6 +60,10 @@ RIVALS: dict[str, Rival] = {
     **{mode: Rival(FAMILIES[mode], _mode(mode)) for mode in MODES},
     "fixed_margin": Rival("nominal NMPC with a constant margin", FIXED_MARGIN),
     "robust_gradient": Rival("the paper's, its margins in the QP with gradient", _with_gradient),
+    "ellipsoid": Rival("NMPC with ellipsoids along its plan (zoRO)", ELLIPSOID, trials=0.2),
+    "ellipsoid_feedback": Rival(
+        "the same with feedback in its tube", ELLIPSOID_FEEDBACK, trials=0.2
+    ),
     "oracle": Rival("NMPC that knows all but the future: the limit", ORACLE),
 }
 """Every controller of the arena."""
