@@ -42,6 +42,7 @@ setup(
         "gtmr_msgs_py.start": ["*.xml"],
         "gtmr_nmpc.compiled": ["c/*.[ch]"],
         "gtmr_sim.loop": ["c/*.[ch]"],
+        "gtmr_study.arena": ["arena.js"],
         "gtmr_study.export": ["replay.c", "CMakeLists.txt"],
     },
     data_files=[
@@ -72,9 +73,11 @@ setup(
         "study": ["dask", "distributed", "matplotlib", "pandas", "plotly", "rich", "typer"],
         "live": ["viser"],
         "calibrate": ["cmaes>=0.11", "optuna"],
+        # The arena as an environment to learn in.
+        "gym": ["gymnasium>=1.0"],
         # The site.
         "docs": ["myst-parser", "numpydoc", "pydata-sphinx-theme", "sphinx"],
-        "test": ["hypothesis", "piqp", "pytest", "pytest-xdist"],
+        "test": ["gymnasium>=1.0", "hypothesis", "piqp", "pytest", "pytest-xdist"],
         "dev": [
             "colcon-bash",
             "colcon-output",

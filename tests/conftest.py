@@ -35,6 +35,7 @@ TOGETHER = {
     "tests/docs/test_site.py": "site",
     "tests/monitor/test_report.py": "report",
     "tests/study/test_campaign": "campaign",
+    "tests/study/test_arena": "arena",
     "tests/study/test_calibration.py": "calibration",
     "tests/study/test_reproduction.py": "reproduction",
     "tests/nmpc/test_flights.py": "flights",

@@ -27,7 +27,8 @@ from gtmr_study.campaign import cluster, trial
 from gtmr_study.campaign.run import fly_campaign
 from gtmr_study.campaign.study import Study
 from gtmr_study.campaign.trial import fly_trial
-from gtmr_study.campaign.trials_file import ResultsError, open_campaign
+from gtmr_study.campaign.trials_file import open_campaign
+from gtmr_study.results_folder import ResultsError
 
 DEADLINE_S = 120.0
 

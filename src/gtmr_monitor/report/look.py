@@ -67,6 +67,16 @@ PALETTE: dict[str, tuple[str, str]] = {
     "rotor-5": ("#D55E00", "#f0803c"),
     "rotor-6": ("#332288", "#8f83e0"),
     "rotor-7": ("#999933", "#b9b94f"),
+    "rival-lqr": ("#8a6d00", "#d9b93b"),
+    "rival-pid": ("#a0522d", "#d9926b"),
+    "rival-indi": ("#6b7a00", "#b3c23a"),
+    "rival-fixed_margin": ("#b8336a", "#ee7fa8"),
+    "rival-robust_gradient": ("#3a49b8", "#8b97f5"),
+    "rival-ellipsoid": ("#6a3d9a", "#b58be0"),
+    "rival-ellipsoid_feedback": ("#a44fc0", "#d9a6f2"),
+    "rival-tube": ("#00798c", "#39b8cc"),
+    "rival-scenario_tree": ("#7f4f24", "#c49a6c"),
+    "rival-oracle": ("#1a1a1a", "#e9e7e4"),
 }
 """Colours by name, on a light page and on a dark one; pages know them as CSS variables."""
 
@@ -122,6 +132,12 @@ def themed(name: str) -> str:
 def mode_key(mode: str) -> str:
     """Name the colour of a mode, or of a controller of one's own, in the palette."""
     return mode if mode in MODES else "other"
+
+
+def controller_key(name: str) -> str:
+    """Name the colour of a controller of the arena in the palette."""
+    key = f"rival-{name}"
+    return key if key in PALETTE else mode_key(name)
 
 
 @dataclass(frozen=True)

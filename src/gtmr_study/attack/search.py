@@ -18,13 +18,11 @@ from typing import Any
 
 import cmaes
 import numpy as np
-import yaml
 from distributed import Client
 from numpy.typing import NDArray
 
 from gtmr_study.attack.space import (
     LENGTH,
-    AttackFlight,
     Target,
     fly_choices,
     random_choice,
@@ -33,6 +31,7 @@ from gtmr_study.attack.space import (
 )
 from gtmr_study.campaign import cluster
 from gtmr_study.result_files import InputError, write_whole
+from gtmr_study.scenario_file import ScenarioFile
 
 Array = NDArray[np.float64]
 
@@ -220,15 +219,13 @@ def _result(
     for place, number in enumerate(np.argsort(found_m, kind="stable")[:KEPT].tolist(), start=1):
         path = folder / f"worst-{place:02d}.yaml"
         scenario = scenario_of(target, chosen[number], _noise_seed(seed, number))
-        flight = AttackFlight(
+        ScenarioFile(
             mode=target.mode,
             duration_s=target.duration_s,
             controller=target.controller,
             scenario=scenario,
             min_clearance_m=found_m[number],
-        )
-        content = flight.model_dump(mode="json")
-        write_whole(path, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+        ).write(path)
         worst.append({"scenario": str(path), "min_clearance_m": found_m[number]})
     return {
         "mode": target.mode,

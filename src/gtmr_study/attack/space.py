@@ -48,21 +48,6 @@ class Target(YamlModel):
     """Length of a flight [s]."""
 
 
-class AttackFlight(YamlModel):
-    """A flight as a file: all that is needed to fly it again."""
-
-    mode: Mode
-    """The controller's mode."""
-    duration_s: float = Field(gt=0.0, le=86400.0)
-    """Its length [s]."""
-    controller: ControllerConfig
-    """The controller."""
-    scenario: Scenario
-    """The vehicle, the world, the gusts and the start."""
-    min_clearance_m: float | None = None
-    """What was found: least d_T of any plant step [m]."""
-
-
 def vertex_choice(vertex: int, worst_case: bool, rng: np.random.Generator) -> Array:
     """Choose a vertex of the box, under gusts at their bound: towards the tower, or L1-worst."""
     u = random_choice(rng)

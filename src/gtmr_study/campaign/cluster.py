@@ -40,6 +40,7 @@ LOOPBACK = "127.0.0.1"
 
 Flights = Sequence[tuple[int, str]]
 Chunk = TypeVar("Chunk")
+Plan = TypeVar("Plan")
 Result = TypeVar("Result")
 
 
@@ -125,15 +126,15 @@ def fly_on(
 
 def run_chunks(
     client: Client,
-    function: Callable[[Study, Chunk], Result],
-    study: Study,
+    function: Callable[[Plan, Chunk], Result],
+    plan: Plan,
     chunks: Sequence[Chunk],
 ) -> Iterator[tuple[Chunk, Result | BaseException]]:
-    """Run a function of a study and a chunk on workers.
+    """Run a function of a plan, as a study is, and a chunk on workers.
 
     Gives each chunk and its result, or what was raised, in the order in which they are done.
     """
-    futures = {client.submit(function, study, chunk, pure=False): chunk for chunk in chunks}
+    futures = {client.submit(function, plan, chunk, pure=False): chunk for chunk in chunks}
     of = {future.key: chunk for future, chunk in futures.items()}
     done = as_completed(futures)
     # Only `done` holds on to the results, so that each can be forgotten once it is handed on.
@@ -145,8 +146,13 @@ def run_chunks(
 
 def chunked(flights: Flights, duration_s: float) -> Iterator[Flights]:
     """Cut a campaign into the pieces that are handed out."""
-    size = min(max(1, round(CHUNK_FLIGHT_S / duration_s)), LARGEST_CHUNK)
+    size = chunk_size(duration_s)
     return (flights[start : start + size] for start in range(0, len(flights), size))
+
+
+def chunk_size(duration_s: float) -> int:
+    """How many flights of a length [s] are handed out at a time."""
+    return min(max(1, round(CHUNK_FLIGHT_S / duration_s)), LARGEST_CHUNK)
 
 
 def _be_quiet() -> None:

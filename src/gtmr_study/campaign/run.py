@@ -17,13 +17,14 @@ from gtmr_study.campaign import cluster
 from gtmr_study.campaign.study import Study
 from gtmr_study.campaign.summary import summarise
 from gtmr_study.campaign.trials_file import (
+    in_order,
     open_campaign,
     read_trials,
     require_own_or_empty,
-    writing,
 )
 from gtmr_study.own_controller import OwnController
 from gtmr_study.result_files import InputError, write_json
+from gtmr_study.results_folder import writing
 
 SUMMARY_FILE = "summary.json"
 
@@ -73,7 +74,7 @@ def fly_campaign(
                 file.append(rows)
                 if on_progress is not None:
                     on_progress(len(file.done), len(flights))
-        file.sort()
+        file.sort(in_order)
         summary = summarise(read_trials(folder))
         with writing(folder / SUMMARY_FILE):
             write_json(folder / SUMMARY_FILE, summary)

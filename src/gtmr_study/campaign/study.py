@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 from typing_extensions import Self
 
-from gtmr_model import ConfigError, UncertaintySet, YamlModel
+from gtmr_model import ConfigError, Helix, UncertaintySet, YamlModel
 from gtmr_model.yaml_model import named, presets_of
 from gtmr_nmpc import MODES, PAPER_MODES, ControllerConfig, Mode
 from gtmr_sim import GustConfig, Scenario, World
@@ -147,6 +147,17 @@ class Study(YamlModel):
         if points is None:
             return scenario.sampled()
         return scenario.model_copy(update={"zeta": tuple(points[trial % len(points)].tolist())})
+
+
+def at_distance(config: ControllerConfig, d_ref_m: float | None) -> ControllerConfig:
+    """Return a controller whose helix is at a distance from the tower [m]; None changes nothing.
+
+    ConfigError if there can be no such helix, or the controller follows another path.
+    """
+    if d_ref_m is None:
+        return config
+    data = Helix.required(config.helix).model_dump() | {"offset_m": d_ref_m}
+    return config.model_copy(update={"helix": Helix.parse(data, f"--d-ref = {d_ref_m:g}")})
 
 
 @lru_cache(maxsize=8)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gtmr_model import CHANNELS
 from gtmr_nmpc import Controller
-from gtmr_sim import FlightLog, Scenario, StepController, fly
+from gtmr_sim import FlightLog, StepController, fly
 from gtmr_study.campaign.study import Study
 from gtmr_study.own_controller import OwnController
 from gtmr_study.result_files import one_line
@@ -91,7 +91,7 @@ def fly_trial(study: Study, trial: int, mode: str, own: OwnController | None = N
             else own.make(study.controller)
         )
         log = fly(scenario, controller, study.duration_s, study.controller.sampling_time_s)
-        row.update(status=FLOWN, **_figures(log, scenario))
+        row.update(status=FLOWN, **flight_figures(log))
     except Exception as error:
         # Whatever goes wrong in one of many trials belongs into its row, not to the campaign.
         row.update(status=ERROR, error=one_line(error))
@@ -103,8 +103,9 @@ def empty_row(trial: int, mode: str) -> Row:
     return {**dict.fromkeys(COLUMNS, ""), "trial": trial, "mode": mode}
 
 
-def _figures(log: FlightLog, scenario: Scenario) -> Row:
-    tower = scenario.tower
+def flight_figures(log: FlightLog) -> Row:
+    """Give the figures of a flight, by column; ValueError if it diverged."""
+    scenario, tower = log.scenario, log.scenario.tower
     off_reference_m = log.d_T - scenario.helix.clearance(log.t, tower)
     residual = tower.min_clearance_m - log.d_T
     if not (np.isfinite(residual).all() and np.isfinite(log.least_clearance_m)):

@@ -29,6 +29,7 @@ MODULES = {
     "reproduce": "campaigns.campaign",
     "calibrate": "campaigns.campaign",
     "attack": "campaigns.attack",
+    "arena": "campaigns.arena",
     "faults": "campaigns.faults",
     "replay": "replay",
     "play": "replay",

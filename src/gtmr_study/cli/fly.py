@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
-from gtmr_model import Helix, Vehicle
+from gtmr_model import Vehicle
 from gtmr_nmpc import MODES, Controller, ControllerConfig
 from gtmr_sim import (
     GUST_KINDS,
@@ -26,7 +26,7 @@ from gtmr_sim import (
     World,
     fly,
 )
-from gtmr_study.campaign.study import controller_for, worst_gusts
+from gtmr_study.campaign.study import at_distance, controller_for, worst_gusts
 from gtmr_study.cli.tables import MODE_WORDS, Row, explains, number, print_rows, words_of
 from gtmr_study.cli.terminal import (
     CONTROLLER_OR_OWN,
@@ -125,7 +125,10 @@ def fly_command(
     controller: Annotated[str | None, CONTROLLER_OR_OWN] = None,
     scenario: Annotated[
         Path | None,
-        option("FILE.yaml", "A flight that gtmr attack found, instead of all options above."),
+        option(
+            "FILE.yaml",
+            "A flight that gtmr attack or a report wrote, instead of all options above.",
+        ),
     ] = None,
     out: Annotated[Path | None, option("FILE.npz", "Write the flight, row by row.")] = None,
     report: Annotated[
@@ -144,14 +147,20 @@ def fly_command(
     require_new_file("--report", page)
     require_folder_of("--json", json)
     if scenario is not None:
-        others = (mode, zeta, world, d_ref, vehicle, controller, sample or None)
+        others = (mode, zeta, world, d_ref, vehicle, sample or None)
         usual = (seed, duration, gust) == (0, 50.0, "ou")
-        if not usual or any(other is not None for other in others):
-            raise InputError(f"--scenario = {scenario}: says it all; leave out the rest")
-        from gtmr_study.attack.space import AttackFlight
+        own = None if controller is None else OwnController.named("--controller", controller)
+        of_a_file = controller is not None and own is None
+        if not usual or of_a_file or any(other is not None for other in others):
+            raise InputError(
+                f"--scenario = {scenario}: says it all; leave out the rest, but for the file of a "
+                "controller of your own"
+            )
+        # Only here: what flies in the arena takes long to import.
+        from gtmr_study.scenario_file import ScenarioFile
 
-        again = AttackFlight.from_yaml(scenario)
-        pilot = Controller(again.controller, again.mode)
+        again = ScenarioFile.from_yaml(scenario)
+        pilot = again.pilot(scenario, own)
         period_s = again.controller.sampling_time_s
         named = f"--scenario = {scenario}"
         log = _flown(named, again.scenario, pilot, again.duration_s, period_s)
@@ -271,17 +280,6 @@ def write_log_report(logs: list[tuple[FlightLog, Path]], page: Path) -> list[Pat
         for log, path in logs
     ]
     return write_report(flights, page)
-
-
-def at_distance(config: ControllerConfig, d_ref_m: float | None) -> ControllerConfig:
-    """Return a controller whose helix is at a distance from the tower [m]; None changes nothing.
-
-    ConfigError if there can be no such helix, or the controller follows another path.
-    """
-    if d_ref_m is None:
-        return config
-    data = Helix.required(config.helix).model_dump() | {"offset_m": d_ref_m}
-    return config.model_copy(update={"helix": Helix.parse(data, f"--d-ref = {d_ref_m:g}")})
 
 
 def require_duration(duration: float) -> None:

@@ -18,7 +18,7 @@ from gtmr_nmpc import PAPER_MODES
 from gtmr_study.campaign import cluster
 from gtmr_study.campaign.study import Study
 from gtmr_study.campaign.summary import summarise
-from gtmr_study.campaign.trials_file import open_campaign, read_trials
+from gtmr_study.campaign.trials_file import in_order, open_campaign, read_trials
 from gtmr_study.paper.claims import distances
 from gtmr_study.paper.margin_budget import margin_budget, unit_slips
 from gtmr_study.paper.unreported import UNREPORTED, values_of, with_values
@@ -93,7 +93,7 @@ def fly_variants(
             missing = [flight for flight in variant.study.flights() if flight not in file.done]
             for flown in cluster.fly_on(client, variant.study, missing):
                 file.append(flown)
-            file.sort()
+            file.sort(in_order)
             summary = summarise(read_trials(own))
         rows.append(
             {

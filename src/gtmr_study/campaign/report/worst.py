@@ -12,13 +12,11 @@
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
-import yaml
 
 from gtmr_study.campaign.figures import Campaign
-from gtmr_study.result_files import write_whole
+from gtmr_study.scenario_file import ScenarioFile
 
 LISTED = 5
 """So many trials of each mode are listed."""
@@ -59,14 +57,13 @@ def write_worst(campaign: Campaign, folder: Path) -> dict[str, list[WorstTrial]]
 def _write(campaign: Campaign, mode: str, row: pd.Series, folder: Path) -> str:
     study, trial = campaign.study, int(row["trial"])
     least_m = row["min_clearance_any_time_m"]
-    content: dict[str, Any] = {
-        "mode": mode,
-        "duration_s": study.duration_s,
-        "controller": study.controller.model_dump(mode="json"),
-        "scenario": study.against(mode).scenario(trial).model_dump(mode="json"),
-        "min_clearance_m": None if pd.isna(least_m) else float(least_m),
-    }
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{mode}-{trial}.yaml"
-    write_whole(path, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+    ScenarioFile(
+        mode=mode,
+        duration_s=study.duration_s,
+        controller=study.controller,
+        scenario=study.against(mode).scenario(trial),
+        min_clearance_m=None if pd.isna(least_m) else float(least_m),
+    ).write(path)
     return f"gtmr fly --scenario {shlex.quote(f'{folder.name}/{path.name}')}"

@@ -14,9 +14,8 @@ from typing import Annotated
 
 from gtmr_nmpc import MODES, ControllerConfig
 from gtmr_sim import World
-from gtmr_study.campaign.study import controller_for
+from gtmr_study.campaign.study import at_distance, controller_for
 from gtmr_study.cli.campaigns.campaign import WorkersOption, reported_progress
-from gtmr_study.cli.fly import at_distance
 from gtmr_study.cli.terminal import (
     ControllerOption,
     DRefOption,

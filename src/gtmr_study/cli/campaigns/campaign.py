@@ -20,8 +20,7 @@ from rich.progress import MofNCompleteColumn, TaskID
 from gtmr_model import CHANNELS
 from gtmr_sim import GUST_KINDS
 from gtmr_study.campaign.plans import PLAN_KINDS
-from gtmr_study.campaign.study import Study
-from gtmr_study.cli.fly import at_distance
+from gtmr_study.campaign.study import Study, at_distance
 from gtmr_study.cli.tables import MODE_WORDS, Row, explains, number, print_rows, words_of
 from gtmr_study.cli.terminal import (
     CONTROLLER_OR_OWN,
@@ -145,7 +144,7 @@ def campaign_command(
     json: JsonOption = None,
 ) -> None:
     """Fly a Monte-Carlo campaign on Dask; started again after it was ended, it goes on."""
-    _require_one(workers, scheduler)
+    require_one(workers, scheduler)
     require_seed(seed)
     require_folder("--out", out)
     require_folder_of("--json", json)
@@ -204,7 +203,7 @@ def reproduce_command(
     json: JsonOption = None,
 ) -> None:
     """Reproduce the paper: 500 trials a mode, Table II, Fig. 1 and Fig. 2, and a report."""
-    _require_one(workers, scheduler)
+    require_one(workers, scheduler)
     require_seed(seed)
     require_folder("--out", out)
     require_folder_of("--json", json)
@@ -300,7 +299,8 @@ def print_summary(summary: dict[str, Any]) -> None:
             complain(f"{mode}: {s['errors']} trials raised; their rows say why")
 
 
-def _require_one(workers: int | None, scheduler: str | None) -> None:
+def require_one(workers: int | None, scheduler: str | None) -> None:
+    """Refuse both workers here and those of a scheduler."""
     if workers is not None and scheduler is not None:
         raise InputError("--workers and --scheduler: give one of them")
 

@@ -1,0 +1,59 @@
+# Copyright 2026 the gtmr authors
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""One flight as a file, which ``gtmr fly --scenario`` flies again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import yaml
+from pydantic import Field
+
+from gtmr_model import YamlModel
+from gtmr_nmpc import ControllerConfig
+from gtmr_sim import Scenario, StepController
+from gtmr_study.own_controller import OwnController
+from gtmr_study.result_files import InputError, write_whole
+from gtmr_study.rivals.catalogue import RIVALS
+
+
+class ScenarioFile(YamlModel):
+    """What flies a flight again, apart from the file of a controller of one's own."""
+
+    mode: str
+    """Who flies: a controller of the arena, the modes among them, or a class of one's own."""
+    duration_s: float = Field(gt=0.0, le=86400.0)
+    """Its length [s]."""
+    controller: ControllerConfig
+    """What the controller believes in."""
+    scenario: Scenario
+    """The vehicle, the world, the gusts and the start."""
+    min_clearance_m: float | None = None
+    """What was found: least d_T of any plant step [m]."""
+
+    def write(self, path: Path) -> None:
+        """Write it as YAML, whole or not at all."""
+        content = self.model_dump(mode="json")
+        write_whole(path, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+
+    def pilot(self, path: Path, own: OwnController | None = None) -> StepController:
+        """Make the controller that flies it; errors name the file, which is at ``path``.
+
+        InputError if it is one of somebody's own and is not given, or another one is given.
+        """
+        if own is not None:
+            if own.name != self.mode:
+                raise InputError(f"--controller = {own.path}:{own.name}: {path} is of {self.mode}")
+            return own.make(self.controller)
+        if self.mode not in RIVALS:
+            raise InputError(
+                f"--scenario = {path}: mode = {self.mode!r} is none of {', '.join(RIVALS)}; name "
+                f"its file: --controller file.py:{self.mode}"
+            )
+        return RIVALS[self.mode].make(self.controller, self.scenario)
