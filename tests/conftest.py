@@ -88,7 +88,7 @@ def refused(gtmr):
 @pytest.fixture
 def unoptimised(monkeypatch):
     """Compile the controller, for a problem of one test, in a fifth of the time."""
-    for flags in ("GENERATED_FLAGS", "WRITTEN_FLAGS"):
+    for flags in ("GENERATED_FLAGS", "WRITTEN_FLAGS", "UNFUSED_FLAGS"):
         monkeypatch.setattr(codegen, flags, ("-O0",))
 
 

@@ -37,13 +37,15 @@ static void *aligned(size_t bytes)
 }
 
 /* A plan is no start when it failed, turns over, or goes through the tower's axis. */
-static int is_a_start(gtmr_status status, const double *plan, size_t length, int n_x, int stages,
+static int is_a_start(gtmr_status status, const double *plan, int n_x, int stages,
                       double most_slack)
 {
+    const int n_u = n_x - 12;
+    const double *slack = plan + (stages + 1) * (n_x + 9 + 2) + stages * n_u;
     int sound = status != GTMR_FAILED;
     for (int i = 0; i <= stages; ++i) {
         sound &= fabs(plan[i * n_x + 4]) < 1.5707963267948966;
-        sound &= plan[length - 1 - i] <= most_slack;
+        sound &= slack[i] <= most_slack;
     }
     return sound;
 }
@@ -94,7 +96,7 @@ int main(int argc, char **argv)
             least[1] = fmin(least[1], prepared - warmed);
             least[2] = fmin(least[2], end - prepared);
         }
-        warm = is_a_start(status, plan, length, n_x, stages, head[4]);
+        warm = is_a_start(status, plan, n_x, stages, head[4]);
         const double u0 = plan[(stages + 1) * n_x];
         const double row[6] = {total, least[0], least[1], least[2], (double)status, u0};
         fwrite(row, sizeof row, 1, out);

@@ -9,37 +9,28 @@
 """The controller: takes a state, returns a plan, and keeps the warm start between steps."""
 
 import math
-import time
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gtmr_codegen.library import CompileError, warn_interpreted
-from gtmr_model.dynamics import PITCH, YAW
 from gtmr_nmpc.closed_loop import deviations
 from gtmr_nmpc.compiled.iteration import CompiledIteration
+from gtmr_nmpc.compiled.stepper import CompiledStepper
 from gtmr_nmpc.config import MODES, ControllerConfig, Mode
-from gtmr_nmpc.iteration import Iteration, IterationResult
-from gtmr_nmpc.margins import (
-    ClosedLoopMargin,
-    Deviations,
-    Iterate,
-    Margin,
-    PaperMargin,
-    Tightening,
-)
+from gtmr_nmpc.iteration import Iteration
+from gtmr_nmpc.margins import ClosedLoopMargin, Deviations, Margin, PaperMargin, Tightening
 from gtmr_nmpc.margins.margin import tightening_of
-from gtmr_nmpc.observer import GUST, N_THETA, Observer
-from gtmr_nmpc.online.blend import Blend, between
-from gtmr_nmpc.online.sent import Sent, setpoints
+from gtmr_nmpc.online.blend import WHOLLY, Blend, between
+from gtmr_nmpc.online.stepper import IterationStepper, NativeStep, Stepper
 from gtmr_nmpc.reference.interpreted import InterpretedIteration
-from gtmr_nmpc.solution import Solution, Timing
-
-Array = NDArray[np.float64]
+from gtmr_nmpc.solution import Solution
 
 FIXED = ("vehicle", "horizon", "sampling_time_s", "tightening", "clearance_of")
 """Fields of the configuration that the controller is built for."""
+
+NOTHING = Blend(0.0, 0.0)
+"""In force before the first step: no blend that becomes due, so that each is put in force."""
 
 
 class Controller:
@@ -77,14 +68,13 @@ class Controller:
         self.config = config if config is not None else ControllerConfig()
         self._own_margin = margin
         self._margin = self._chosen_margin(self.config)
-        self._iteration = iteration if iteration is not None else fastest_iteration(self.config)
-        self._observer: Observer | None = None
-        self._sent = Sent(self.config)
-        self._share = 0.0
-        self._by_step: list[Tightening] = []
+        self._stepper = _stepper(
+            self.config, fastest_iteration(self.config) if iteration is None else iteration
+        )
         self._closed_loop: Deviations | None = None
-        self._observed_t: float | None = None
-        self._observed_steps = 0
+        self._by_steps: list[Tightening] = []
+        self._in_force = NOTHING
+        self._share = 0.0
         self.mode = mode
         self.reset()
 
@@ -100,9 +90,8 @@ class Controller:
         self._mode: Mode = mode
         if mode == "offset_free":
             # What takes long is computed here, not in a step.
-            self._deviations()
-            self._observing()
-        self._prepared: tuple[float, float, Blend] | None = None
+            self._learn_closed_loop()
+        self._prepared_for: float | None = None
 
     def reconfigure(self, config: ControllerConfig) -> None:
         """Take over other bounds, weights, clearance or slack penalties; keeps the warm start.
@@ -119,30 +108,25 @@ class Controller:
             return
         self._margin = self._chosen_margin(config)
         self.config = config
-        self._sent.reconfigure(config)
-        self._by_step, self._closed_loop = [], None
-        self._iteration.reconfigure(self._blended(self._share))
+        self._by_steps, self._closed_loop = [], None
         if self._mode == "offset_free":
-            self._deviations()
-        self._prepared = None
+            self._learn_closed_loop()
+        self._stepper.reconfigure(self._blended(self._share))
+        self._in_force, self._prepared_for = NOTHING, None
 
     def reset(self) -> None:
         """Forget the warm start, as before the first step."""
-        self._last_t: float | None = None
-        self._blend = Blend.of(self._mode)
-        self._is_a_start = False
-        self._prepared = None
-        self._sent.reset()
-        self._forget()
+        self._blend = WHOLLY[self._mode]
+        self._prepared_for = None
+        self._stepper.reset()
 
     def prepare(self, now: float) -> None:
         """Do all that can be done before a state is known; the command will act from ``now`` [s].
 
         Without a warm start there is nothing to prepare yet.
         """
-        blend = self._take_shares(now)
-        if self._warm(now):
-            self._prepare(now, blend)
+        self._put_due_in_force(now)
+        self._prepare(now)
 
     def feedback(self, t: float, x: ArrayLike, now: float | None = None) -> Solution:
         """Plan from a measured state; fast if ``prepare`` was called for the same time.
@@ -162,63 +146,53 @@ class Controller:
         ValueError
             If x has the wrong shape or is not finite, or ``now`` is no time from t on.
         """
-        x = self._checked(t, x)
         now = t if now is None else now
-        if not t <= now < math.inf:
-            raise ValueError(f"now = {now}: the command cannot act before the stamp, {t}")
-        if self._prepared is None or self._prepared[0] != now:
-            blend = self._take_shares(now)
-            # What the linearisation needs, roughly: the state is looked at closely below.
-            if not self._warm(now):
-                self._iteration.cold(x)
-            self._prepare(now, blend)
-        assert self._prepared is not None
-        _, prepare_s, blend = self._prepared
-        self._prepared = None
-
-        start = time.perf_counter()
-        x = self._present(t, x, now, blend.offset_free_scale)
-        plan = self._iteration.feedback(x)
-        setpoints_hz = setpoints(self.config, plan.x_plan, plan.u_plan)
-        feedback_s = time.perf_counter() - start
-        self._last_t, self._blend = now, blend
-        self._is_a_start = plan.status != "failed" and self._is_sound(plan)
-        if now > t or self.config.delay_s > 0.0:
-            self._sent.add(now, t, plan.u_plan, setpoints_hz)
-        return Solution(
-            u=plan.u_plan[0],
-            setpoints_hz=setpoints_hz,
-            margin_scale=max(blend.margin_scale, blend.offset_free_scale),
-            timing=Timing(prepare_s, feedback_s),
-            x_plan=plan.x_plan,
-            u_plan=plan.u_plan,
-            tightening=plan.tightening,
-            slack=plan.slack,
-            status=plan.status,
-        )
+        if self._prepared_for != now:
+            self._put_due_in_force(now)
+            if self._asks:
+                self._prepare(now, t, x)
+        solution = self._stepper.step(t, x, now)
+        self._prepared_for, self._blend = None, self._in_force
+        return solution
 
     def step(self, t: float, x: ArrayLike, now: float | None = None) -> Solution:
         """Prepare and plan in one call, with arguments and errors of `feedback`."""
         return self.feedback(t, x, now)
 
-    def _take_shares(self, now: float) -> Blend:
-        """Blend the modes: weights and disturbances of the next step."""
-        switch_time_s = self.config.switch_time_s
-        if self._last_t is None or switch_time_s == 0.0:
-            blend = Blend.of(self._mode)
-        else:
-            most = max(0.0, now - self._last_t) / switch_time_s
-            blend = self._blend.towards(self._mode, most)
-        share = blend.offset_free_scale
+    def native(self) -> NativeStep | None:
+        """Give the step as a function in C, for loops in C; steps from here and there may mix.
+
+        None where a step is not wholly in C: without a compiler, with a margin other than the
+        paper's and that of the closed loop, and while a switch of the mode takes its time.
+        """
+        blend = self._next_blend(math.nan)
+        if blend is not WHOLLY[self._mode]:
+            return None
+        self._put_due_in_force(math.nan)
+        return None if self._asks else self._stepper.native()
+
+    def _next_blend(self, now: float) -> Blend:
+        """Blend the modes for a step at ``now`` [s]."""
+        due = WHOLLY[self._mode]
+        if self._blend is due:
+            return due
+        last_s, switch_time_s = self._stepper.last_s, self.config.switch_time_s
+        if last_s is None or switch_time_s == 0.0:
+            return due
+        return self._blend.towards(self._mode, max(0.0, now - last_s) / switch_time_s)
+
+    def _put_in_force(self, blend: Blend) -> None:
+        """Let weights, margins and estimates of a blend act from the next step on."""
+        scale, share = blend.margin_scale, blend.offset_free_scale
         if share != self._share:
             self._share = share
-            self._iteration.reconfigure(self._blended(share))
-            if share == 0.0:
-                self._iteration.disturb(None)
-                self._forget()
-        if share > 0.0:
-            self._iteration.disturb(self._theta if share == 1.0 else share * self._theta)
-        return blend
+            self._stepper.reconfigure(self._blended(share))
+        self._stepper.set_mode(scale, share)
+        # What a margin says that depends on no plan is handed over, others are asked.
+        is_known = share == 1.0 and scale == 0.0 and bool(self._known_by_steps())
+        self._stepper.set_margins(self._by_steps if is_known else ())
+        self._asks = (share > 0.0 and not is_known) or (scale > 0.0 and self._margin is not None)
+        self._in_force = blend
 
     def _blended(self, share: float) -> ControllerConfig:
         """Give the problem with this share of the weights of ``offset_free``."""
@@ -228,79 +202,57 @@ class Controller:
         weights = between(config.weights, config.offset_free.weights, share)
         return config.model_copy(update={"weights": weights, "tightening": "frozen"})
 
-    def _prepare(self, now: float, blend: Blend) -> None:
-        start = time.perf_counter()
+    def _put_due_in_force(self, now: float) -> None:
+        blend = self._next_blend(now)
+        if blend is not self._in_force:
+            self._put_in_force(blend)
+
+    def _prepare(self, now: float, t: float = 0.0, x: ArrayLike | None = None) -> None:
+        """Prepare a step with what is in force, if there is a start: the last plan, or a state."""
+        steps = self._stepper.begin(now, t, x)
+        if steps < 0:
+            return
+        if self._asks:
+            self._stepper.tighten(self._asked(self._in_force, steps))
+        self._prepared_for = now
+
+    def _asked(self, blend: Blend, steps: int) -> Tightening:
+        """Ask the margins of a blend, so many steps after disturbances began to be estimated."""
         scale, share = blend.margin_scale, blend.offset_free_scale
-        self._iteration.prepare(now, scale)
-        if share > 0.0:
-            own = self._offset_free_tightening()
-            own = own if share == 1.0 else own.scaled(share)
-            if scale > 0.0:
-                margin = self._margin or PaperMargin()
-                own = own.plus(tightening_of(margin, self._iteration.linearised()).scaled(scale))
-            self._iteration.tighten(own)
-        elif self._margin is not None and scale > 0.0:
-            own = tightening_of(self._margin, self._iteration.linearised())
-            self._iteration.tighten(own.scaled(scale))
-        self._prepared = (now, time.perf_counter() - start, blend)
+        paper = self._margin or PaperMargin()
+        if share == 0.0:
+            return tightening_of(paper, self._stepper.linearised()).scaled(scale)
+        known = self._known_by_steps()
+        if known:
+            own = known[min(steps, len(known) - 1)]
+        else:
+            at = replace(
+                self._stepper.linearised(), deviations=self._deviations, observed_steps=steps
+            )
+            own = tightening_of(self.config.offset_free.margin, at)
+        own = own if share == 1.0 else own.scaled(share)
+        if scale > 0.0:
+            own = own.plus(tightening_of(paper, self._stepper.linearised()).scaled(scale))
+        return own
 
-    def _offset_free_tightening(self) -> Tightening:
-        """Ask its margin; that of the closed loop depends on no plan, and is asked once."""
-        margin, step = self.config.offset_free.margin, self._observed_steps
-        if not isinstance(margin, ClosedLoopMargin):
-            return tightening_of(margin, self._observed(step))
-        if not self._by_step:
-            steps = range(len(self._deviations().transient) + 1)
-            at = self._observed(0)
-            self._by_step = [tightening_of(margin, replace(at, observed_steps=k)) for k in steps]
-        return self._by_step[min(step, len(self._by_step) - 1)]
+    def _learn_closed_loop(self) -> None:
+        """Compute what takes long and the mode ``offset_free`` needs."""
+        self._known_by_steps()
+        self._deviations()
+        self._stepper.observes()
 
-    def _observed(self, steps: int) -> Iterate:
-        """Tell a margin the iterate, and for how many steps disturbances have been estimated."""
-        return replace(
-            self._iteration.linearised(), deviations=self._deviations, observed_steps=steps
-        )
+    def _known_by_steps(self) -> list[Tightening]:
+        """Ask the margin of the closed loop, which depends on no plan, once; none for others."""
+        margin = self.config.offset_free.margin
+        # A margin derived from it may depend on what it likes.
+        if not self._by_steps and type(margin) is ClosedLoopMargin:
+            self._by_steps = margin.by_steps(self.config, self._deviations())
+        return self._by_steps
 
     def _deviations(self) -> Deviations:
         if self._closed_loop is None:
             self._closed_loop = deviations(self.config)
         return self._closed_loop
-
-    def _present(self, t: float, x: Array, now: float, share: float) -> Array:
-        """Say where the vehicle is when the command acts, as measured or estimated."""
-        if share == 0.0 and now == t:
-            return x
-        observer, measured = self._observing(), x
-        if share > 0.0:
-            dt_s = 0.0 if self._observed_t is None else t - self._observed_t
-            begun = 0.0 < dt_s <= self.config.horizon * self.config.sampling_time_s
-            self._observed_steps = self._observed_steps + 1 if begun else 0
-            self._observed_t = t
-            x, theta = observer.update(measured, dt_s)
-            x[YAW] += math.tau * round((measured[YAW] - x[YAW]) / math.tau)
-            # The next plan begins a sampling time later.
-            until_s = now - t + self.config.sampling_time_s
-            self._theta = theta
-            self._theta[GUST] *= math.exp(
-                -until_s / self.config.offset_free.disturbance.gust_time_s
-            )
-        if now > t:
-            x = self._sent.ahead(observer, x, t, now)
-            if 0.0 < share < 1.0:
-                measured = self._sent.ahead(observer, measured, t, now)
-        return x if share in (0.0, 1.0) else (1.0 - share) * measured + share * x
-
-    def _observing(self) -> Observer:
-        if self._observer is None:
-            self._observer = self._iteration.observer()
-        return self._observer
-
-    def _forget(self) -> None:
-        """Let the observer begin anew."""
-        self._observed_t, self._observed_steps = None, 0
-        self._theta = np.zeros(N_THETA)
-        if self._observer is not None:
-            self._observer.reset()
 
     def _chosen_margin(self, config: ControllerConfig) -> Margin | None:
         """Choose the margin to ask; none is the paper's, which the iterations have themselves."""
@@ -310,41 +262,6 @@ class Controller:
             raise ValueError("tightening = 'gradient': a margin of one's own enters 'frozen'")
         return self._own_margin
 
-    def _is_sound(self, plan: IterationResult) -> bool:
-        """Whether a plan stays where the model holds, and with it can be the next one's iterate.
-
-        One step too long for the linearisation that it came from goes through the tower's axis, by
-        the slack it needs, or through a pitch of 90 degrees, where Euler angles have no rates.
-        """
-        tower = self.config.tower
-        reaches_axis = plan.slack.max() > tower.radius_m + tower.min_clearance_m
-        pitch = plan.x_plan[:, PITCH].tolist()
-        turns_over = not all(abs(angle) < math.pi / 2 for angle in pitch)
-        return not reaches_axis and not turns_over
-
-    def _warm(self, t: float) -> bool:
-        """Start from the last plan, if it reaches time t and is fit for it."""
-        if self._last_t is None or not self._is_a_start:
-            return False
-        steps = round((t - self._last_t) / self.config.sampling_time_s)
-        if not 0 <= steps < self.config.horizon:
-            return False
-        self._iteration.warm(steps)
-        return True
-
-    def _checked(self, t: float, x: ArrayLike) -> Array:
-        state = np.array(x, dtype=float)
-        if state.shape != (self.config.vehicle.n_x,):
-            raise ValueError(f"x has shape {state.shape}, expected ({self.config.vehicle.n_x},)")
-        # A sum is finite where all are, and faster than a look at each.
-        if not math.isfinite(sum(state.tolist())):
-            raise ValueError(f"x is not finite: {state}")
-        facing = self.config.helix.facing(t, self.config.tower)
-        turns = round((facing - float(state[YAW])) / math.tau)
-        if turns != 0:
-            state[YAW] += math.tau * turns
-        return state
-
 
 def fastest_iteration(config: ControllerConfig) -> Iteration:
     """Compile a problem, or interpret it where that cannot be."""
@@ -353,3 +270,10 @@ def fastest_iteration(config: ControllerConfig) -> Iteration:
     except CompileError as error:
         warn_interpreted(error)
         return InterpretedIteration(config)
+
+
+def _stepper(config: ControllerConfig, iteration: Iteration) -> Stepper:
+    """Take the steps around an iteration, in C as well if it is the compiled one itself."""
+    if type(iteration) is CompiledIteration:
+        return CompiledStepper(config, iteration)
+    return IterationStepper(config, iteration)

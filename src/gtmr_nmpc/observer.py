@@ -182,15 +182,21 @@ class InterpretedObserver:
         config = self._config
         steps = max(1, math.ceil(dt_s / config.sampling_time_s - 1e-6)) if dt_s > 0.0 else 0
         if self._x is None or not 1 <= steps <= config.horizon:
-            self.reset()
-            self._x = x.copy()
-            return Estimate(self._x.copy(), self._theta.copy())
+            return self._begin(x)
         decay = gust_decay(config) ** (dt_s / (steps * config.sampling_time_s))
         for k in range(steps):
             xi = self._x[ROTORS] + (x[ROTORS] - self._x[ROTORS]) / (steps - k)
             self._x = self.ahead(self._x, xi, dt_s / steps)
             self._theta[GUST] *= decay
         self._correct(self._x, x)
+        if not math.isfinite(sum(self._x.tolist())):
+            # What came before was out of this world.
+            return self._begin(x)
+        return Estimate(self._x.copy(), self._theta.copy())
+
+    def _begin(self, x: Array) -> Estimate:
+        self.reset()
+        self._x = x.copy()
         return Estimate(self._x.copy(), self._theta.copy())
 
     def ahead(self, x: Array, xi: Array, dt_s: float) -> Array:

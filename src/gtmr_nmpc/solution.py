@@ -8,8 +8,11 @@
 
 """What one controller step returns."""
 
-from dataclasses import dataclass
-from typing import Literal
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +70,28 @@ class Solution:
     timing: Timing
     """How long the step took."""
 
+    @classmethod
+    def later(cls, make: Callable[[str], Any], margin_scale: float, status: Status) -> Solution:
+        """Make a solution whose other fields are made when they are first asked for.
+
+        ``make`` gives a field by its name, always the same; most users look at few of them.
+        """
+        solution = object.__new__(cls)
+        known = solution.__dict__
+        known["_make"], known["margin_scale"], known["status"] = make, margin_scale, status
+        return solution
+
+    def __getattr__(self, name: str) -> Any:
+        """Make a field that was not asked for before."""
+        if name not in FIELDS or "_make" not in self.__dict__:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        value = self.__dict__[name] = self._make(name)
+        return value
+
+    def __reduce__(self) -> tuple[type[Solution], tuple[Any, ...]]:
+        """Pickle and copy all fields, made or not."""
+        return type(self), tuple(getattr(self, name) for name in FIELDS)
+
     @property
     def alpha_p(self) -> NDArray[np.float64]:
         """Parametric margin per stage, eq. (12), eps_s included [m], shape (N + 1,)."""
@@ -86,3 +111,7 @@ class Solution:
     def alpha_g(self) -> NDArray[np.float64]:
         """Gust margin per stage, eq. (13) [m], shape (N + 1,); that for noise is in it."""
         return self.tightening.random
+
+
+FIELDS = tuple(field.name for field in fields(Solution))
+"""Names of the fields, in order."""

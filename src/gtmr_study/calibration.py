@@ -74,7 +74,7 @@ def calibrate(
     search = _open(folder, f"{target}, seed {base.seed}, {_flown(base)}")
     done = len(_done(search))
     if done < sets:
-        with cluster.local_workers(n_workers) as client:
+        with cluster.local_threads(n_workers) as workers:
 
             def evaluate(trial: optuna.Trial) -> float:
                 values = {
@@ -85,7 +85,9 @@ def calibrate(
                     if (bounds := known.searched) is not None
                 }
                 study = with_values(values, base)
-                rows = [r for part in cluster.fly_on(client, study, study.flights()) for r in part]
+                rows = [
+                    r for part in cluster.fly_on(workers, study, study.flights()) for r in part
+                ]
                 summary = summarise(pd.DataFrame(rows))
                 trial.set_user_attr("summary", summary)
                 if any(s["errors"] for s in summary.values()):

@@ -13,7 +13,7 @@ import pytest
 
 from gtmr_model import Vehicle
 from gtmr_nmpc import Controller, ControllerConfig
-from gtmr_nmpc.observer import BIAS, GUST
+from gtmr_nmpc.observer import BIAS, GUST, InterpretedObserver
 from gtmr_sim import Scenario, Simulation, fly
 
 NEAR = ControllerConfig(helix={"offset_m": 0.22})
@@ -75,7 +75,7 @@ def test_rotors_at_their_limits_wind_nothing_up():
     # So much wind that rotors which can hardly speed up stand at their limit.
     limits = {"max_rotor_speed_hz": 66.0, "max_rotor_acceleration_hz_s": 30.0}
     config = ControllerConfig(vehicle=Vehicle.paper().model_copy(update=limits))
-    controller = Controller(config, "offset_free")
+    controller, observer = Controller(config, "offset_free"), InterpretedObserver(config)
     scenario = Scenario(
         vehicle=config.vehicle,
         zeta=(0.05, 0, 0, 0, -0.05, 0, 0.8, 0.0, -0.2),
@@ -85,13 +85,13 @@ def test_rotors_at_their_limits_wind_nothing_up():
     simulation, at_limit = Simulation(scenario, 0.025), 0
     for _ in range(200):
         t = simulation.time_s
+        theta = observer.update(simulation.x, 0.025).theta
         solution = controller.step(t, simulation.x)
         at_limit += bool((solution.x_plan[:, 12:] > 65.99).any())
         simulation.command(t, solution.u_plan)
         simulation.advance(0.025)
     assert at_limit > 50
     # What is estimated is what acts, not what could not be done about it.
-    theta = controller._theta
     weight = 9.81 * config.vehicle.mass_kg
     assert (theta[BIAS] + theta[GUST])[0] == pytest.approx(0.8, abs=0.15)
     assert (theta[BIAS] + theta[GUST])[2] == pytest.approx(-0.2 - 0.1 * weight, abs=0.3)

@@ -36,14 +36,14 @@ def test_a_search_can_begin_with_a_shipped_preset(preset):
 
 @pytest.fixture(scope="module")
 def one_worker():
-    with cluster.local_workers(1) as client:
+    with cluster.local_threads(1) as client:
         yield client
 
 
 @pytest.fixture
 def cheap(one_worker, monkeypatch):
     """Search only what is not compiled in, on a worker that is started once."""
-    monkeypatch.setattr(cluster, "local_workers", lambda count: nullcontext(one_worker))
+    monkeypatch.setattr(cluster, "local_threads", lambda count: nullcontext(one_worker))
     kept = ("rotor_acceleration_weight", "gust_std_n", "eps_s_m")
     for name in set(UNREPORTED) - set(kept):
         monkeypatch.delitem(UNREPORTED, name)

@@ -19,7 +19,6 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from distributed import LocalCluster
 from support.campaign_runs import ARGUMENTS, FIELDS, STUDY, TIMES, WORKERS, rows_of, without_times
 from support.command_line import command, gtmr_process
 
@@ -51,12 +50,10 @@ def text_without_times(folder):
 def test_four_threads_two_processes_and_one_thread_give_the_same_file(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "LARGEST_CHUNK", 1)
     two_processes, in_threads = tmp_path / "processes", (1, 4)
-    fly_campaign(Study(**FIELDS, modes=("robust", "nominal")), two_processes, n_workers=2)
     for n in in_threads:
-        with LocalCluster(
-            1, processes=False, threads_per_worker=n, dashboard_address=":0"
-        ) as dask:
-            fly_campaign(STUDY, tmp_path / str(n), scheduler=dask.scheduler_address)
+        fly_campaign(STUDY, tmp_path / str(n), n_workers=n)
+    monkeypatch.setattr(cluster, "local_threads", cluster.local_workers)
+    fly_campaign(Study(**FIELDS, modes=("robust", "nominal")), two_processes, n_workers=2)
 
     for n in in_threads:
         assert text_without_times(tmp_path / str(n)) == text_without_times(two_processes)
@@ -136,7 +133,7 @@ def test_interrupted_by_the_whole_terminal_it_says_so_in_one_line(tmp_path):
 
 def test_a_finished_campaign_started_again_flies_nothing(flown, monkeypatch):
     before = (flown / "trials.csv").read_bytes()
-    monkeypatch.setattr(cluster, "local_workers", None)
+    monkeypatch.setattr(cluster, "local_threads", None)
 
     fly_campaign(STUDY, flown)
 

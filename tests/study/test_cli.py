@@ -328,7 +328,7 @@ def test_a_campaign_tells_its_total_before_it_flies(tmp_path, monkeypatch):
     def nobody(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(run.cluster, "local_workers", lambda *_: nullcontext())
+    monkeypatch.setattr(run.cluster, "local_threads", lambda *_: nullcontext())
     monkeypatch.setattr(run.cluster, "fly_on", lambda *_: iter(()))
     monkeypatch.setattr(run, "summarise", nobody)
     with pytest.raises(KeyboardInterrupt):

@@ -32,7 +32,7 @@ def without(missing, code, *arguments):
     ("missing", "arguments"),
     [
         ("typer", ["fly"]),
-        ("dask", ["campaign", "--trials", 1, "--duration", 0.1]),
+        ("dask", ["campaign", "--trials", 1, "--scheduler", "tcp://127.0.0.1:1"]),
         ("plotly", ["report", "bags/mine"]),
     ],
 )

@@ -8,6 +8,7 @@
 
 """The C sources of one problem: its dimensions and model, generated; the rest as written."""
 
+import math
 from importlib.resources import files
 
 import casadi as ca
@@ -27,6 +28,13 @@ MAX_REFERENCE_NUMBERS = 16
 GENERATED_FLAGS = ("-O2", "-ffp-contract=fast", "-Wno-unused-variable")
 """Straight-line code: -O3 finds nothing more in it, and takes longer."""
 WRITTEN_FLAGS = ("-O3", "-ffp-contract=fast")
+UNFUSED = ("step.c", "sent.c")
+"""Files whose arithmetic rounds as in Python, each operation by itself."""
+UNFUSED_FLAGS = ("-O3", "-ffp-contract=off", "-D_POSIX_C_SOURCE=199309L")
+"""Those of them; POSIX has a clock that C99 has not."""
+LONGEST_DELAY_S = 0.5
+"""Up to this age of a state all plans are kept that were sent since, one every T_s [s]; of older
+ones the newest 256 at most."""
 
 
 @one_at_a_time
@@ -47,11 +55,13 @@ def c_sources(config: ControllerConfig) -> dict[str, str]:
 
 def flags(sources: dict[str, str]) -> dict[str, tuple[str, ...]]:
     """Compiler flags of each ``.c`` file."""
-    return {
-        name: GENERATED_FLAGS if name.startswith("gtmr_model_") else WRITTEN_FLAGS
-        for name in sources
-        if name.endswith(".c")
-    }
+
+    def of(name: str) -> tuple[str, ...]:
+        if name in UNFUSED:
+            return UNFUSED_FLAGS
+        return GENERATED_FLAGS if name.startswith("gtmr_model_") else WRITTEN_FLAGS
+
+    return {name: of(name) for name in sources if name.endswith(".c")}
 
 
 def _model(config: ControllerConfig) -> dict[str, str]:
@@ -96,6 +106,7 @@ def _model(config: ControllerConfig) -> dict[str, str]:
 #define CLEARANCE_STATE_LIST {", ".join(map(str, constraint.states))}
 #define ROTORS {config.vehicle.n_rotors}
 #define PERIOD_S {config.sampling_time_s!r}
+#define SENT_PLANS {min(256, math.ceil(LONGEST_DELAY_S / config.sampling_time_s) + 3)}
 #define MODEL_LANES_IN {lanes_in}
 #define MODEL_LANES_OUT {lanes_out}
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import ctypes
 import math
 from functools import lru_cache
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,8 @@ Array = NDArray[np.float64]
 
 STATUSES: tuple[Status, ...] = ("solved", "softened", "failed", "limited")
 """By ``gtmr_status``."""
+Part = tuple[int, tuple[int, ...]]
+"""Where in a plan an array begins, in entries, and its shape."""
 ALIGNMENT = 64
 """Of a controller's memory [bytes]."""
 
@@ -60,6 +63,9 @@ class CParameters(ctypes.Structure):
         ("rotation_gains", ctypes.c_double * 18),
         ("theta_bounds", ctypes.c_double * N_THETA),
         ("gust_decay", ctypes.c_double),
+        ("gust_time_s", ctypes.c_double),
+        ("motor_lag_s", ctypes.c_double),
+        ("delay_s", ctypes.c_double),
     )
 
 
@@ -97,6 +103,9 @@ def parameters(config: ControllerConfig, observes: bool) -> CParameters:
         slack_l2=config.slack_l2,
         with_margin_gradient=float(config.tightening == "gradient"),
         gust_decay=gust_decay(config),
+        gust_time_s=config.offset_free.disturbance.gust_time_s,
+        motor_lag_s=config.motor_lag_s,
+        delay_s=config.delay_s,
         **observer,
     )
 
@@ -107,45 +116,56 @@ class CompiledIteration:
     def __init__(self, config: ControllerConfig) -> None:
         n, n_x, n_u = config.horizon, config.vehicle.n_x, config.vehicle.n_rotors
         self._config = config
-        self._library = library = _library(_compiled_part(config))
+        self.library = library = _library(_compiled_part(config))
         memory = np.zeros(library.gtmr_size() + ALIGNMENT, np.uint8)
         # The library has no memory of its own: this array must live as long as the controller.
         self._memory = memory
         address = memory.ctypes.data + -memory.ctypes.data % ALIGNMENT
-        self._controller = ctypes.c_void_p(address)
+        self.controller = ctypes.c_void_p(address)
         self._observes = False
-        library.gtmr_create(self._controller, ctypes.byref(self._parameters()))
+        library.gtmr_create(self.controller, ctypes.byref(self._parameters()))
 
         self._eps_s = self._no_noise = np.zeros(n + 1)
         self._x = np.zeros(n_x)
         self._x_address = ctypes.c_void_p(self._x.ctypes.data)
         self._plan = np.zeros(library.gtmr_plan_length())
         self._plan_address = ctypes.c_void_p(self._plan.ctypes.data)
-        shapes = ((n + 1, n_x), (n, n_u), (n + 1, N_ZETA), (n + 1,), (n + 1,), (n + 1,))
-        ends = np.cumsum([math.prod(shape) for shape in shapes]).tolist()
-        starts = [0, *ends[:-1]]
-        self._parts = [(shape, 8 * start) for shape, start in zip(shapes, starts, strict=True)]
+        shapes: dict[str, tuple[int, ...]] = {
+            "x_plan": (n + 1, n_x),
+            "u_plan": (n, n_u),
+            "alpha_p_by_channel": (n + 1, N_ZETA),
+            "alpha_p": (n + 1,),
+            "alpha_g": (n + 1,),
+            "slack": (n + 1,),
+            "setpoints_hz": (n + 1, n_u),
+            "observed_steps": (),
+            "times_s": (2,),
+        }
+        starts = accumulate(map(math.prod, shapes.values()), initial=0)
+        self.parts = {
+            name: (start, shapes[name]) for start, name in zip(starts, shapes, strict=False)
+        }
 
     @property
     def sizes(self) -> tuple[int, int]:
         """Bytes of a controller's memory, and entries of a plan, for users of the C library."""
-        return self._library.gtmr_size(), self._library.gtmr_plan_length()
+        return self.library.gtmr_size(), self.library.gtmr_plan_length()
 
     @property
     def passes(self) -> int:
         """How many passes the active set took in the last step."""
-        return int(self._library.gtmr_passes(self._controller))
+        return int(self.library.gtmr_passes(self.controller))
 
     def reconfigure(self, config: ControllerConfig) -> None:
         """See `Iteration.reconfigure`."""
         self._config = config
-        self._library.gtmr_reconfigure(self._controller, ctypes.byref(self._parameters()))
+        self.library.gtmr_reconfigure(self.controller, ctypes.byref(self._parameters()))
 
     def observer(self) -> CompiledObserver:
         """See `Iteration.observer`."""
         self._observes = True
         self.reconfigure(self._config)
-        return CompiledObserver(self._library, self._controller, self)
+        return CompiledObserver(self.library, self.controller, self)
 
     def _parameters(self) -> CParameters:
         return parameters(self._config, self._observes)
@@ -153,16 +173,16 @@ class CompiledIteration:
     def cold(self, x: Array) -> None:
         """See `Iteration.cold`."""
         self._x[:] = x
-        self._library.gtmr_cold(self._controller, self._x_address)
+        self.library.gtmr_cold(self.controller, self._x_address)
 
     def warm(self, steps: int) -> None:
         """See `Iteration.warm`."""
-        self._library.gtmr_warm(self._controller, steps)
+        self.library.gtmr_warm(self.controller, steps)
 
     def disturb(self, theta: Array | None) -> None:
         """See `Iteration.disturb`."""
         address = None if theta is None else ctypes.c_void_p(theta.ctypes.data)
-        self._library.gtmr_disturb(self._controller, address)
+        self.library.gtmr_disturb(self.controller, address)
 
     def prepare(self, t: float, margin_scale: float) -> None:
         """See `Iteration.prepare`."""
@@ -170,8 +190,8 @@ class CompiledIteration:
         if self._eps_s[0] != eps_s_m:
             self._eps_s = np.full(self._config.horizon + 1, eps_s_m)
         self._given: Tightening | None = None
-        self._library.gtmr_prepare(
-            self._controller, ctypes.c_double(t), ctypes.c_double(margin_scale)
+        self.library.gtmr_prepare(
+            self.controller, ctypes.c_double(t), ctypes.c_double(margin_scale)
         )
 
     def linearised(self) -> Iterate:
@@ -180,7 +200,7 @@ class CompiledIteration:
         x, u = np.empty((n + 1, vehicle.n_x)), np.empty((n, vehicle.n_rotors))
         body = np.empty((n + 1, BODY.stop, N_ZETA))
         addresses = (ctypes.c_void_p(array.ctypes.data) for array in (x, u, body))
-        self._library.gtmr_iterate(self._controller, *addresses)
+        self.library.gtmr_iterate(self.controller, *addresses)
         # Rotor speeds do not depend on zeta.
         rotors = ((0, 0), (0, vehicle.n_rotors), (0, 0))
         return Iterate(self._config, x, u, lambda: np.pad(body, rotors))
@@ -189,15 +209,15 @@ class CompiledIteration:
         """See `Iteration.tighten`."""
         self._given = tightening
         alpha = np.ascontiguousarray(tightening.total)
-        self._library.gtmr_tighten(self._controller, ctypes.c_void_p(alpha.ctypes.data))
+        self.library.gtmr_tighten(self.controller, ctypes.c_void_p(alpha.ctypes.data))
 
     def feedback(self, x: Array) -> IterationResult:
         """See `Iteration.feedback`."""
         self._x[:] = x
-        status = self._library.gtmr_feedback(self._controller, self._x_address, self._plan_address)
+        status = self.library.gtmr_feedback(self.controller, self._x_address, self._plan_address)
         plan = self._plan.copy()
-        x, u, by_channel, _, alpha_g, slack = (
-            np.ndarray(shape, float, plan, offset) for shape, offset in self._parts
+        x, u, by_channel, _, alpha_g, slack, *_ = (
+            np.ndarray(shape, float, plan, 8 * start) for start, shape in self.parts.values()
         )
         tightening = self._given or Tightening(by_channel, self._eps_s, alpha_g, self._no_noise)
         return IterationResult(x, u, tightening, slack, STATUSES[status])
@@ -260,7 +280,7 @@ def _library(config: ControllerConfig) -> ctypes.CDLL:
         sources = codegen.c_sources(config)
         return sources, codegen.flags(sources)
 
-    values = (config, codegen.GENERATED_FLAGS, codegen.WRITTEN_FLAGS)
+    values = (config, codegen.GENERATED_FLAGS, codegen.WRITTEN_FLAGS, codegen.UNFUSED_FLAGS)
     library = load_generated("the controller", "gtmr_nmpc", values, make)
     library.gtmr_size.restype = library.gtmr_plan_length.restype = ctypes.c_size_t
     library.gtmr_create.restype = ctypes.c_void_p
@@ -275,6 +295,14 @@ def _library(config: ControllerConfig) -> ctypes.CDLL:
         "forget",
         "observe",
         "ahead",
+        "reset",
+        "set_mode",
+        "set_margins",
     ):
         getattr(library, f"gtmr_{name}").restype = None
+    state, time, plan = ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p
+    library.gtmr_begin.argtypes = (ctypes.c_void_p, time, state, time)
+    library.gtmr_step.argtypes = (ctypes.c_void_p, time, state, time, plan)
+    library.gtmr_set_mode.argtypes = (ctypes.c_void_p, ctypes.c_double, ctypes.c_double)
+    library.gtmr_last_time.restype = ctypes.c_double
     return library

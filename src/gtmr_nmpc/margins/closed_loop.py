@@ -10,13 +10,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from gtmr_nmpc.margins.margin import Iterate, Margin, Tightening
+from gtmr_nmpc.margins.margin import Iterate, Margin, Tightening, tightening_of
 
 Array = NDArray[np.float64]
 
@@ -52,3 +53,13 @@ class ClosedLoopMargin(Margin):
         return Tightening(
             transient, np.full(stages, self.eps_s_m), at.gust, self.noise_sigmas * at.noise
         )
+
+    def by_steps(self, config: Any, deviations: Deviations) -> list[Tightening]:
+        """Give the tightening of every step since disturbances began to be estimated.
+
+        The last one is for all steps after it, too; ``config`` is a `ControllerConfig`.
+        """
+        no_plan = np.zeros((config.horizon + 1, 1))
+        at = Iterate(config, no_plan, no_plan[1:], lambda: no_plan, lambda: deviations)
+        steps = range(len(deviations.transient) + 1)
+        return [tightening_of(self, replace(at, observed_steps=k)) for k in steps]

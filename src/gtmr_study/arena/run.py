@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -67,18 +68,18 @@ def fly_arena(
                 each.make(study.controller)
     with ExitStack() as stack:
         ARENA.require_own_or_empty("--out", folder, arena)
-        client = None
+        executor = None
         if scheduler is not None:
             # Before anything is written: a wrong address leaves no folder behind.
-            client = stack.enter_context(cluster.remote_workers(scheduler))
+            executor = stack.enter_context(cluster.remote_workers(scheduler))
         stack.enter_context(ARENA.opened("--out", folder, arena))
         file = RowsFile(folder / FLIGHTS_FILE, COLUMNS, _named, ARENA.what)
         total = sum(arena.trials_of(cell.controller) for cell in arena.cells())
         on_progress(len(file.done), total)
         if len(file.done) < total:
-            if client is None:
-                client = stack.enter_context(cluster.local_workers(n_workers))
-            for rows in _fly(client, arena, file, by_name):
+            if executor is None:
+                executor = stack.enter_context(cluster.local_workers(n_workers))
+            for rows in _fly(executor, arena, file, by_name):
                 file.append(rows)
                 on_progress(len(file.done), total)
         order = {(*cell, trial): k for k, (cell, trial) in enumerate(_flights(arena))}
@@ -109,10 +110,10 @@ def _flights(arena: Arena) -> Iterator[tuple[Cell, int]]:
             yield cell, trial
 
 
-def _fly(client: cluster.Client, arena: Arena, file: RowsFile, own: Own) -> Iterator[list[Row]]:
+def _fly(executor: Executor, arena: Arena, file: RowsFile, own: Own) -> Iterator[list[Row]]:
     """Fly the first trial of every cell, then the rest of those that were not stopped."""
     firsts: list[Chunk] = [(cell, [0]) for cell in arena.cells() if (*cell, 0) not in file.done]
-    yield from _on_workers(client, arena, firsts, own)
+    yield from _on_workers(executor, arena, firsts, own)
     stopped = {
         Cell(row["controller"], row["world"], float(row["d_ref_m"]))
         for row in file.rows()
@@ -130,14 +131,14 @@ def _fly(client: cluster.Client, arena: Arena, file: RowsFile, own: Own) -> Iter
         chunks += [(cell, piece) for piece in pieces]
     # All cells grow alike, so that what was cut short tells of all of them.
     chunks.sort(key=lambda chunk: chunk[1][0])
-    yield from _on_workers(client, arena, chunks, own)
+    yield from _on_workers(executor, arena, chunks, own)
 
 
 def _on_workers(
-    client: cluster.Client, arena: Arena, chunks: Sequence[Chunk], own: Own
+    executor: Executor, arena: Arena, chunks: Sequence[Chunk], own: Own
 ) -> Iterator[list[Row]]:
     for (cell, trials), rows in cluster.run_chunks(
-        client, partial(fly_chunk, own=own), arena, chunks
+        executor, partial(fly_chunk, own=own), arena, chunks
     ):
         if isinstance(rows, BaseException):
             # Flights report their own errors; here the workers themselves gave up.

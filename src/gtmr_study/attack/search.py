@@ -13,12 +13,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
 import cmaes
 import numpy as np
-from distributed import Client
+import yaml
 from numpy.typing import NDArray
 
 from gtmr_study.attack.space import (
@@ -128,11 +129,11 @@ def attack(
     """
     flown = Flown(folder, target, flights, seed)
     chosen: list[Array] = []
-    with cluster.local_workers(n_workers) as client:
+    with cluster.local_threads(n_workers) as workers:
         for generation, tell in _generations(flights, seed, flown.clearances_m, chosen):
             numbers = range(len(chosen) - len(generation), len(chosen))
             new = [n for n in numbers if n >= len(flown.clearances_m)]
-            flown.add(_fly(client, target, [(n, chosen[n]) for n in new], seed))
+            flown.add(_fly(workers, target, [(n, chosen[n]) for n in new], seed))
             tell([flown.clearances_m[n] for n in numbers])
             on_progress(len(chosen), flights)
     return _result(target, chosen, flown.clearances_m[: len(chosen)], seed, folder)
@@ -195,11 +196,11 @@ def _evolution(
 
 
 def _fly(
-    client: Client, target: Target, numbered: list[tuple[int, Array]], seed: int
+    workers: Executor, target: Target, numbered: list[tuple[int, Array]], seed: int
 ) -> list[float]:
     chunks = [numbered[k : k + CHUNK] for k in range(0, len(numbered), CHUNK)]
-    futures = [client.submit(_fly_chunk, target, chunk, seed, pure=False) for chunk in chunks]
-    return [value for part in client.gather(futures) for value in part]
+    futures = [workers.submit(_fly_chunk, target, chunk, seed) for chunk in chunks]
+    return [value for future in futures for value in future.result()]
 
 
 def _fly_chunk(target: Target, numbered: list[tuple[int, Array]], seed: int) -> list[float]:

@@ -6,20 +6,20 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Dask: workers on this machine or on a cluster, fed with chunks, results as they come."""
+"""Workers, here or on a Dask cluster: fed with chunks, they give results as they come."""
 
 import logging
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from typing import TypeVar
 
-import dask
-from distributed import Client, LocalCluster, as_completed
-
+from gtmr_codegen.library import CompileError
+from gtmr_sim.loop.memory import library
 from gtmr_study.campaign.study import Study
 from gtmr_study.campaign.trial import ERROR, Row, empty_row, fly_trials
 from gtmr_study.own_controller import OwnController
@@ -45,10 +45,32 @@ Result = TypeVar("Result")
 
 
 @contextmanager
-def local_workers(count: int | None = None) -> Iterator[Client]:
-    """Start Dask workers on this machine, one per processor if it is not said how many."""
+def local_threads(count: int | None = None) -> Iterator[Executor]:
+    """Start threads, one per processor if it is not said how many: for flights that run in C.
+
+    Where nothing can be compiled they are processes.
+    """
+    try:
+        library()
+    except CompileError:
+        with local_workers(count) as workers:
+            yield workers
+        return
+    pool = ThreadPoolExecutor(_processors(count))
+    try:
+        yield pool
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def local_workers(count: int | None = None) -> Iterator[Executor]:
+    """Start Dask's processes on this machine, as many as `local_threads`: for work in Python."""
+    # Only here, as it takes long to import.
+    from distributed import Client, LocalCluster
+
     _be_quiet()
-    n = count if count is not None else len(os.sched_getaffinity(0))
+    n = _processors(count)
     with _deaf_to_interrupts():
         cluster = LocalCluster(
             n_workers=n,
@@ -60,7 +82,11 @@ def local_workers(count: int | None = None) -> Iterator[Client]:
             silence_logs=logging.CRITICAL,
         )
     with cluster, Client(cluster) as client:
-        yield client
+        yield client.get_executor(pure=False)
+
+
+def _processors(count: int | None) -> int:
+    return count if count is not None else len(os.sched_getaffinity(0))
 
 
 @contextmanager
@@ -77,8 +103,11 @@ def _deaf_to_interrupts() -> Iterator[None]:
 
 
 @contextmanager
-def remote_workers(scheduler: str) -> Iterator[Client]:
+def remote_workers(scheduler: str) -> Iterator[Executor]:
     """Connect to a running Dask scheduler; InputError if it does not answer or has no workers."""
+    import dask
+    from distributed import Client
+
     _be_quiet()
     try:
         with dask.config.set({"distributed.comm.timeouts.connect": CONNECT_TIMEOUT_S}):
@@ -96,26 +125,25 @@ def remote_workers(scheduler: str) -> Iterator[Client]:
                 f"--scheduler = {scheduler}: has no workers: start some with "
                 f"dask worker {scheduler}"
             ) from None
-        yield client
+        yield client.get_executor(pure=False)
 
 
-@contextmanager
-def workers(count: int | None = None, scheduler: str | None = None) -> Iterator[Client]:
-    """Start workers on this machine, or connect to those of a scheduler, given by its address."""
-    chosen = local_workers(count) if scheduler is None else remote_workers(scheduler)
-    with chosen as client:
-        yield client
+def workers(
+    count: int | None = None, scheduler: str | None = None
+) -> AbstractContextManager[Executor]:
+    """Start threads on this machine, or connect to a scheduler's workers, given by its address."""
+    return local_threads(count) if scheduler is None else remote_workers(scheduler)
 
 
 def fly_on(
-    client: Client, study: Study, flights: Flights, own: OwnController | None = None
+    executor: Executor, study: Study, flights: Flights, own: OwnController | None = None
 ) -> Iterator[list[Row]]:
     """Fly on workers, in chunks; give the rows of each as it is done.
 
     A worker that dies has its chunks flown again elsewhere.
     """
     chunks = list(chunked(flights, study.duration_s))
-    for chunk, rows in run_chunks(client, partial(fly_trials, own=own), study, chunks):
+    for chunk, rows in run_chunks(executor, partial(fly_trials, own=own), study, chunks):
         if isinstance(rows, BaseException):
             # Flights report their own errors; here the workers themselves gave up.
             lost = {"status": ERROR, "error": one_line(rows)}
@@ -125,7 +153,7 @@ def fly_on(
 
 
 def run_chunks(
-    client: Client,
+    executor: Executor,
     function: Callable[[Plan, Chunk], Result],
     plan: Plan,
     chunks: Sequence[Chunk],
@@ -134,14 +162,11 @@ def run_chunks(
 
     Gives each chunk and its result, or what was raised, in the order in which they are done.
     """
-    futures = {client.submit(function, plan, chunk, pure=False): chunk for chunk in chunks}
-    of = {future.key: chunk for future, chunk in futures.items()}
-    done = as_completed(futures)
-    # Only `done` holds on to the results, so that each can be forgotten once it is handed on.
-    del futures
-    for future in done:
-        result = future.result() if future.status == "finished" else future.exception()
-        yield of[future.key], result
+    chunk_of = {executor.submit(function, plan, chunk): chunk for chunk in chunks}
+    for future in as_completed(chunk_of):
+        error = future.exception()
+        # Results are held no longer than until they are handed on.
+        yield chunk_of.pop(future), future.result() if error is None else error
 
 
 def chunked(flights: Flights, duration_s: float) -> Iterator[Flights]:

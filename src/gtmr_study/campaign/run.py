@@ -44,7 +44,8 @@ def fly_campaign(
 
     The folder is new, empty, or holds a part of the same study; it receives study.json, trials.csv
     as trials are done, and at the end summary.json. An own controller flies instead of the
-    suite's. Workers and errors are those of `cluster.workers`; InputError as well if the folder
+    suite's, in processes instead of threads. Workers and errors are those of `cluster.workers`;
+    InputError as well if the folder
     holds anything else or an own controller cannot be made, ResultsError if results cannot be
     written; finished trials are kept.
     """
@@ -58,19 +59,20 @@ def fly_campaign(
         )
     with ExitStack() as stack:
         require_own_or_empty("--out", folder, study)
-        client = None
+        workers = None
         if scheduler is not None:
             # Before anything is written: a wrong address leaves no folder behind.
-            client = stack.enter_context(cluster.remote_workers(scheduler))
+            workers = stack.enter_context(cluster.remote_workers(scheduler))
         file = stack.enter_context(open_campaign("--out", folder, study))
         flights = study.flights()
         missing = [flight for flight in flights if flight not in file.done]
-        if missing and client is None:
-            client = stack.enter_context(cluster.local_workers(n_workers))
+        if missing and workers is None:
+            local = cluster.local_threads if own is None else cluster.local_workers
+            workers = stack.enter_context(local(n_workers))
         if on_progress is not None:
             on_progress(len(file.done), len(flights))
-        if client is not None:
-            for rows in cluster.fly_on(client, study, missing, own):
+        if workers is not None:
+            for rows in cluster.fly_on(workers, study, missing, own):
                 file.append(rows)
                 if on_progress is not None:
                     on_progress(len(file.done), len(flights))

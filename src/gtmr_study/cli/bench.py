@@ -18,6 +18,7 @@ from gtmr_study.cli.terminal import JsonOption, console, option
 from gtmr_study.result_files import require_folder_of, write_json
 from gtmr_study.solvers.bench import (
     CONTROLLERS,
+    compare_with_c,
     machine,
     make_qp_rivals,
     make_rivals,
@@ -27,7 +28,7 @@ from gtmr_study.solvers.bench import (
 from gtmr_study.solvers.qp import MODES, time_qp_rivals
 from gtmr_study.solvers.situations import Situation, record_situations
 
-COLUMNS = ("median", "p99", "p99.9", "max")
+COLUMNS = ("median", "p99", "p99.9")
 WORDS = {
     "controller": "What is flown through, and below it which mode of the controller is timed.",
     "nominal": "The clearance as it is, eq. (5).",
@@ -41,6 +42,7 @@ WORDS = {
     "max": "The longest step [ms].",
     "prepare": "Median of what is done before the state is known [ms].",
     "feedback": "Median of what is done from the state to the command [ms].",
+    "to C": "Median relative to that of the same step called in C.",
     "ratio": "Median relative to that of the suite's nominal step.",
     "QP solver": "Likewise what solves the QP of that mode's steps, besides the suite.",
     "ratio p99": "The same of the 99th percentiles.",
@@ -67,20 +69,25 @@ def bench_command(
     """Time a controller step, and what a user would pick instead, on the same states."""
     require_folder_of("--json", json)
     result: dict[str, Any] = {"machine": machine(), "steps": steps, "controller": {}, "rivals": {}}
+    result["in_c"] = {}
     result |= {"qp_steps": qp_steps, "rival_steps": rival_steps, "qp": {}}
     situations = record_situations(steps)
-    table = new_table("controller", *COLUMNS, "prepare", "feedback", "ratio")
+    table = new_table("controller", *COLUMNS, "prepare", "feedback", "to C", "ratio")
     for situation in situations:
         figures = {name: time_controller(situation, m, t) for name, m, t in CONTROLLERS}
         result["controller"][situation.name] = figures
+        in_c = {name: compare_with_c(situation, m, t) for name, m, t in CONTROLLERS}
+        result["in_c"][situation.name] = in_c
         nominal = figures["nominal"]["step"]["median"]
         table.add_row(Text(situation.name))
         for name, phases in figures.items():
+            compared = in_c[name]
             table.add_row(
                 Text(f"  {name}"),
                 *(f"{phases['step'][column]:.3f}" for column in COLUMNS),
                 f"{phases['prepare']['median']:.3f}",
                 f"{phases['feedback']['median']:.3f}",
+                "" if compared is None else f"{compared['ratio']['median']:.2f}",
                 f"{phases['step']['median'] / nominal:.2f}",
             )
     console.print(result["machine"])

@@ -8,6 +8,7 @@
 
 """Controller and guard as C99 for use without Python: sources, parameters, build, replay."""
 
+import math
 from importlib.resources import files
 from pathlib import Path
 
@@ -19,8 +20,8 @@ from gtmr_nmpc import Controller, ControllerConfig, Mode
 from gtmr_nmpc.closed_loop import deviations
 from gtmr_nmpc.compiled import codegen
 from gtmr_nmpc.compiled.iteration import CompiledIteration, CParameters, parameters
-from gtmr_nmpc.margins import Iterate, PaperMargin
-from gtmr_nmpc.margins.margin import tightening_of
+from gtmr_nmpc.compiled.stepper import margin_table
+from gtmr_nmpc.margins import ClosedLoopMargin, PaperMargin
 from gtmr_sim import Scenario, Simulation
 from gtmr_study.export.guard import guard_files
 
@@ -38,11 +39,6 @@ def export_c(config: ControllerConfig, mode: Mode, folder: Path) -> list[Path]:
     CompileError if there is no C compiler to record the flight with, ConfigError if the margin is
     not the paper's.
     """
-    if config.delay_s or config.motor_lag_s:
-        raise ConfigError(
-            f"delay_s = {config.delay_s:g}, motor_lag_s = {config.motor_lag_s:g}: in C there is "
-            "neither prediction nor lead, allowed is 0"
-        )
     if not isinstance(config.margin, PaperMargin):
         raise ConfigError(f"margin = {config.margin.kind!r}: in C there is the paper's alone")
     own = files("gtmr_study.export")
@@ -70,26 +66,24 @@ def _fields(config: ControllerConfig) -> str:
 
 
 def _offset_free_margins(config: ControllerConfig) -> NDArray[np.float64]:
-    """Margins of ``offset_free`` by step since the start, the last for all after it."""
-    margin, stages = config.offset_free.margin, np.zeros((config.horizon + 1, 1))
-    at = deviations(config)
-    return np.array(
-        [
-            tightening_of(
-                margin,
-                Iterate(config, stages, stages[1:], lambda: stages, lambda: at, k),
-            ).total
-            for k in range(len(at.transient) + 1)
-        ]
-    )
+    """Table of `gtmr_set_margins` for ``offset_free``."""
+    margin = config.offset_free.margin
+    if not isinstance(margin, ClosedLoopMargin):
+        raise ConfigError(
+            f"offset_free.margin = {margin.kind!r}: in C there is 'closed-loop' alone"
+        )
+    return margin_table(margin.by_steps(config, deviations(config)))
 
 
 def _parameters_header(config: ControllerConfig) -> str:
     weights = config.offset_free.weights
     offset_free = config.model_copy(update={"weights": weights, "tightening": "frozen"})
     margins = _offset_free_margins(config)
-    rows = ",\n".join(f"    {_literal(row)}" for row in margins)
-    memory, plan = CompiledIteration(config).sizes
+    rows = ",\n".join(
+        f"    {{{_literal(alpha_p)},\n     {_literal(alpha_g)}}}" for alpha_p, alpha_g in margins
+    )
+    iteration = CompiledIteration(config)
+    memory, plan = iteration.sizes
     return f"""\
 /* Generated: the numbers of one problem; gtmr.h says what they are. */
 #ifndef GTMR_PARAMETERS_H
@@ -102,20 +96,21 @@ def _parameters_header(config: ControllerConfig) -> str:
 /* Enough for vector registers of any width; gtmr_size() says how much it is with this compiler. */
 #define GTMR_MEMORY_BYTES {memory + memory // 2}
 #define GTMR_PLAN_LENGTH {plan}
+/* Where in a plan the setpoints of the rotors begin. */
+#define GTMR_SETPOINTS {iteration.parts["setpoints_hz"][0]}
 
 static const gtmr_parameters gtmr_problem = {{
 {_fields(config)}
 }};
 
-/* The mode offset_free: its own weights, and its margins [m] by step since it began to observe and
- * by stage; the last row stays. */
+/* The mode offset_free: its own weights, and its table for gtmr_set_margins [m]. */
 #define GTMR_MARGIN_ROWS {len(margins)}
 
 static const gtmr_parameters gtmr_offset_free_problem = {{
 {_fields(offset_free)}
 }};
 
-static const double gtmr_margins[GTMR_MARGIN_ROWS][GTMR_STAGES + 1] = {{
+static const double gtmr_margins[GTMR_MARGIN_ROWS][2][GTMR_STAGES + 1] = {{
 {rows}
 }};
 
@@ -148,11 +143,17 @@ def _flight(config: ControllerConfig, mode: Mode) -> str:
     start[:2] *= 1.0 - TOO_CLOSE_M / np.hypot(*start[:2])
     simulation.plant.x = start
     controller = Controller(config, mode, CompiledIteration(config))
-    rows = []
+    rows, states = [], []
+    # A stated delay counts in whole steps: the state is as old as that.
+    late = math.ceil(config.delay_s / config.sampling_time_s - 1e-9)
     for _ in range(round(FLIGHT_S / config.sampling_time_s)):
-        t, x = simulation.time_s, simulation.x
-        solution = controller.step(t, x)
-        rows.append(",".join(repr(float(v)) for v in (t, solution.margin_scale, *x, *solution.u)))
-        simulation.command(t, solution.u_plan)
+        now = simulation.time_s
+        states.append((now, simulation.x))
+        t, x = states[max(0, len(states) - 1 - late)]
+        solution = controller.step(t, x, now)
+        commands = (*solution.u, *solution.setpoints_hz[1])
+        values = (t, now, solution.margin_scale, *x, *commands)
+        rows.append(",".join(repr(float(v)) for v in values))
+        simulation.command(now, solution.u_plan)
         simulation.advance(config.sampling_time_s)
     return "\n".join(rows) + "\n"

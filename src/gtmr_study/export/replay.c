@@ -18,13 +18,11 @@
 #include "parameters.h"
 
 #define N_X (12 + GTMR_ROTORS)
-#define N_THETA 9
-#define PI 3.14159265358979323846
-/* t, margin_scale, x, u */
-#define COLUMNS (2 + N_X + GTMR_ROTORS)
+/* t, now, margin_scale, x, u, setpoints at the end of the first stage */
+#define COLUMNS (3 + N_X + 2 * GTMR_ROTORS)
 /* dt, p, eta, xi, u_due, overdue, age, cause, u */
 #define GUARD_COLUMNS (10 + 3 * GTMR_ROTORS)
-/* Hz/s */
+/* Hz/s, Hz */
 #define TOLERANCE 1e-9
 /* The guard amplifies rounding by its filters, and compilers may fuse operations. */
 #define GUARD_TOLERANCE 1e-6
@@ -42,59 +40,28 @@ static int read_row(FILE *file, double *row, int columns)
     return 1;
 }
 
-static int replay_controller(FILE *file)
+static int replay_controller(FILE *file, const gtmr_parameters *problem, int is_offset_free)
 {
     double row[COLUMNS], worst = 0.0;
-    const double *x = row + 2, *u = x + N_X;
+    const double *x = row + 3, *u = x + N_X, *next_hz = u + GTMR_ROTORS;
+    const double *planned = plan + (GTMR_STAGES + 1) * N_X;
+    const double *setpoints_hz = plan + GTMR_SETPOINTS;
     int steps = 0, rotor;
     gtmr_controller *controller =
-        gtmr_create(memory + (64 - (uintptr_t)memory % 64) % 64, &gtmr_problem);
+        gtmr_create(memory + (64 - (uintptr_t)memory % 64) % 64, problem);
+    if (is_offset_free)
+        gtmr_set_margins(controller, gtmr_margins[0][0], GTMR_MARGIN_ROWS);
     for (; read_row(file, row, COLUMNS); steps++) {
         if (steps == 0)
-            gtmr_cold(controller, x);
-        else
-            gtmr_warm(controller, 1);
-        gtmr_prepare(controller, row[0], row[1]);
-        gtmr_feedback(controller, x, plan);
+            gtmr_set_mode(controller, is_offset_free ? 0.0 : row[2], is_offset_free);
+        gtmr_step(controller, row[0], x, row[1], plan);
         for (rotor = 0; rotor < GTMR_ROTORS; rotor++) {
-            const double *planned = plan + (GTMR_STAGES + 1) * N_X;
             worst = fmax(worst, fabs(planned[rotor] - u[rotor]));
+            worst = fmax(worst, fabs(setpoints_hz[GTMR_ROTORS + rotor] - next_hz[rotor]));
         }
     }
-    printf("%d steps, largest difference of a command %g Hz/s\n", steps, worst);
-    return steps > 0 && worst <= TOLERANCE;
-}
-
-/* The mode offset_free: disturbances that were estimated act in the model one step later. */
-static int replay_offset_free(FILE *file)
-{
-    double row[COLUMNS], estimate[N_X + N_THETA], theta[N_THETA] = {0.0}, worst = 0.0, last_t = 0.0;
-    const double *x = row + 2, *u = x + N_X;
-    int steps = 0, j;
-    gtmr_controller *controller =
-        gtmr_create(memory + (64 - (uintptr_t)memory % 64) % 64, &gtmr_offset_free_problem);
-    for (; read_row(file, row, COLUMNS); steps++) {
-        const int seen = steps > 0 ? steps - 1 : 0;
-        gtmr_disturb(controller, theta);
-        if (steps == 0)
-            gtmr_cold(controller, x);
-        else
-            gtmr_warm(controller, 1);
-        gtmr_prepare(controller, row[0], 0.0);
-        gtmr_tighten(controller,
-                     gtmr_margins[seen < GTMR_MARGIN_ROWS ? seen : GTMR_MARGIN_ROWS - 1]);
-        gtmr_observe(controller, x, steps > 0 ? row[0] - last_t : 0.0, estimate);
-        estimate[5] += 2.0 * PI * round((x[5] - estimate[5]) / (2.0 * PI));
-        gtmr_feedback(controller, estimate, plan);
-        for (j = 0; j < N_THETA; j++)
-            theta[j] = estimate[N_X + j];
-        for (j = 3; j < 6; j++)
-            theta[j] *= gtmr_offset_free_problem.gust_decay;
-        for (j = 0; j < GTMR_ROTORS; j++)
-            worst = fmax(worst, fabs(plan[(GTMR_STAGES + 1) * N_X + j] - u[j]));
-        last_t = row[0];
-    }
-    printf("%d steps of offset_free, largest difference of a command %g Hz/s\n", steps, worst);
+    printf("%d steps%s, largest difference of a command %g Hz/s\n", steps,
+           is_offset_free ? " of offset_free" : "", worst);
     return steps > 0 && worst <= TOLERANCE;
 }
 
@@ -133,8 +100,8 @@ int main(int argc, char **argv)
         fprintf(stderr, "GTMR_MEMORY_BYTES: at least %lu\n", (unsigned long)gtmr_size());
         return 2;
     }
-    well = replay_controller(flight);
-    well = replay_offset_free(offset_free) && well;
+    well = replay_controller(flight, &gtmr_problem, 0);
+    well = replay_controller(offset_free, &gtmr_offset_free_problem, 1) && well;
     well = replay_guard(guarded) && well;
     fclose(flight);
     fclose(offset_free);

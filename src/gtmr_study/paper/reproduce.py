@@ -9,6 +9,7 @@
 """Reproduce the paper: its campaign, Table II, Fig. 1, Fig. 2, and what lies behind them."""
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -99,12 +100,12 @@ def reproduce(
         logs[mode] = _flight(study, mode, zeta=FIG_1_ZETA, seed=study.seed)
         tell("Fig. 1", done, len(PAPER_MODES))
     flown_variants = []
-    with cluster.workers(n_workers, scheduler) as client:
+    with cluster.workers(n_workers, scheduler) as workers:
         if effort.variant_trials:
             made = variants(study, effort.variant_trials, effort.variant_duration_s)
             tell_variants = partial(tell, "one change at a time")
-            flown_variants = fly_variants(client, made, folder / VARIANTS_FOLDER, tell_variants)
-        found = list(_perturbations(client, study, effort, partial(tell, "first order")))
+            flown_variants = fly_variants(workers, made, folder / VARIANTS_FOLDER, tell_variants)
+        found = list(_perturbations(workers, study, effort, partial(tell, "first order")))
     results: dict[str, Any] = {
         "command": command,
         "seed": study.seed,
@@ -195,7 +196,7 @@ def _calm_flight(study: Study) -> dict[str, float]:
 
 
 def _perturbations(
-    client: cluster.Client, study: Study, effort: Effort, tell: Callable[[int, int], None]
+    workers: Executor, study: Study, effort: Effort, tell: Callable[[int, int], None]
 ) -> Iterator[first_order.Perturbations]:
     short = study.model_copy(update={"duration_s": effort.quality_duration_s})
     chunks = [
@@ -203,7 +204,7 @@ def _perturbations(
         for start in range(0, effort.trials, QUALITY_CHUNK)
     ]
     results = {}
-    done = cluster.run_chunks(client, first_order.perturbations, short, chunks)
+    done = cluster.run_chunks(workers, first_order.perturbations, short, chunks)
     for k, (chunk, result) in enumerate(done):
         tell(k + 1, len(chunks))
         if isinstance(result, BaseException):

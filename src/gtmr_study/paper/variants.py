@@ -10,6 +10,7 @@
 
 import re
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -73,7 +74,7 @@ def variants(study: Study, trials: int, duration_s: float) -> list[Variant]:
 
 
 def fly_variants(
-    client: cluster.Client,
+    workers: Executor,
     made: Sequence[Variant],
     folder: Path,
     on_progress: Callable[[int, int], None],
@@ -91,7 +92,7 @@ def fly_variants(
         margins = margin_budget(variant.study.controller)
         with open_campaign("--out", own, variant.study) as file:
             missing = [flight for flight in variant.study.flights() if flight not in file.done]
-            for flown in cluster.fly_on(client, variant.study, missing):
+            for flown in cluster.fly_on(workers, variant.study, missing):
                 file.append(flown)
             file.sort(in_order)
             summary = summarise(read_trials(own))

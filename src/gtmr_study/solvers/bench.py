@@ -12,8 +12,10 @@ Every contender gets the same recorded states, in the same order, with its own w
 controller is timed in all situations; general solvers, being slow, on the first steps of each.
 """
 
+import ctypes
 import platform
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -38,6 +40,8 @@ CONTROLLERS: tuple[tuple[str, Mode, TighteningOrder], ...] = (
     ("offset_free", "offset_free", "frozen"),
 )
 """Name, mode and tightening of what is timed."""
+TURNS = 5
+"""How often each step is timed from Python and in C."""
 Rivals = dict[str, InspectionNlp | DoMpcRival]
 QUIET_SQP = {
     "print_time": False,
@@ -95,6 +99,47 @@ def time_controller(
         timings["prepare"].append(solution.timing.prepare_s)
         timings["feedback"].append(solution.timing.feedback_s)
     return {phase: percentiles(values[WARM_UP_STEPS:]) for phase, values in timings.items()}
+
+
+def compare_with_c(
+    situation: Situation, mode: Mode, tightening: TighteningOrder
+) -> dict[str, dict[str, float]] | None:
+    """Time the step from Python, ``python``, and the same one called in C, ``c``, in turns.
+
+    Median, p99, p99.9 and maximum [ms] in CPU time, and ``ratio`` of the medians; of each step the
+    least of several times counts. None where the step is not in C.
+    """
+    controller = Controller(ControllerConfig(tightening=tightening), mode)
+    native = controller.native()
+    if native is None:
+        return None
+    number, array = ctypes.c_double, ctypes.c_void_p
+    in_c = ctypes.CFUNCTYPE(ctypes.c_int, array, number, array, number, array)(native.function)
+    plan = np.empty(native.plan_length)
+    to, memory = plan.ctypes.data, native.memory
+
+    def seconds(call: Callable[[float, Array, int], Any]) -> list[float]:
+        taken = []
+        for t, x in in_flight(situation, controller.reset):
+            address = x.ctypes.data
+            start = time.thread_time()
+            call(t, x, address)
+            taken.append(time.thread_time() - start)
+        return taken[WARM_UP_STEPS:]
+
+    turns = [
+        (
+            seconds(lambda t, x, _: controller.step(t, x)),
+            seconds(lambda t, _, address: in_c(memory, t, address, t, to)),
+            # Refused, as no command acts before its state: what it costs to call and to time.
+            seconds(lambda t, _, address: in_c(memory, t, address, t - 1.0, to)),
+        )
+        for _ in range(TURNS)
+    ]
+    python, c, call = np.min(turns, axis=0)
+    figures = {"python": percentiles(python.tolist()), "c": percentiles((c - call).tolist())}
+    figures["ratio"] = {"median": figures["python"]["median"] / figures["c"]["median"]}
+    return figures
 
 
 def time_rivals(situation: Situation, steps: int, rivals: Rivals) -> dict[str, dict[str, float]]:

@@ -12,13 +12,6 @@
 #include "combine.h"
 #include "workspace.h"
 
-enum {
-    PLAN_X = (STAGES + 1) * N_X,
-    PLAN_U = STAGES * N_U,
-    PLAN_CHANNELS = (STAGES + 1) * N_ZETA,
-    PLAN_LENGTH = PLAN_X + PLAN_U + PLAN_CHANNELS + 3 * (STAGES + 1)
-};
-
 /* Violations below these are rounding: of an input [Hz/s], a speed [Hz], the clearance [m]. */
 #define INPUT_ROUNDING 1e-9
 #define SPEED_ROUNDING 1e-10
@@ -55,6 +48,7 @@ gtmr_controller *gtmr_create(void *memory, const gtmr_parameters *parameters)
 void gtmr_reconfigure(gtmr_controller *c, const gtmr_parameters *parameters)
 {
     c->parameters = *parameters;
+    c->progress.is_prepared = 0;
 }
 
 void gtmr_cold(gtmr_controller *c, const double *x)
@@ -118,6 +112,7 @@ void gtmr_warm(gtmr_controller *c, int steps)
 void gtmr_prepare(gtmr_controller *c, double t, double margin_scale)
 {
     c->margin_scale = margin_scale;
+    c->is_tightened = 0;
     gtmr_linearise(c, t);
     gtmr_clearance_along_iterate(c);
     gtmr_riccati_factorise(c);
@@ -208,19 +203,32 @@ static double planned_slack(const gtmr_controller *c, int row)
     return slack > SLACK_ROUNDING ? slack : 0.0;
 }
 
+/* alpha_p as it is told: its terms added as NumPy adds nine numbers, so that whoever adds them finds
+ * the same. */
+static double told_alpha_p(const gtmr_controller *c, const clearance *y)
+{
+    const double *a = y->by_channel;
+    const double sum = ((a[0] + a[1]) + (a[2] + a[3])) + ((a[4] + a[5]) + (a[6] + a[7])) + a[8];
+    return sum + c->margin_scale * c->parameters.eps_s_m;
+}
+
 static void write_plan(const gtmr_controller *c, const double *slack, double *to)
 {
+    double *channels = to + PLAN_X + PLAN_U, *alpha_p = channels + PLAN_CHANNELS;
+    double *alpha_g = alpha_p + STAGES + 1;
     memcpy(to, c->last.x, sizeof c->last.x);
-    memcpy(to += PLAN_X, c->last.u, sizeof c->last.u);
-    to += PLAN_U;
-    double *alpha_p = to + PLAN_CHANNELS, *alpha_g = alpha_p + STAGES + 1;
+    memcpy(to + PLAN_X, c->last.u, sizeof c->last.u);
     for (int i = 0; i <= STAGES; ++i) {
         const clearance *y = &c->clearances[i];
-        memcpy(to + i * N_ZETA, y->by_channel, sizeof y->by_channel);
-        alpha_p[i] = y->alpha_p;
+        memcpy(channels + i * N_ZETA, y->by_channel, sizeof y->by_channel);
+        alpha_p[i] = told_alpha_p(c, y);
         alpha_g[i] = y->alpha_g;
     }
+    if (c->is_tightened) {
+        memcpy(alpha_p, c->told, sizeof c->told);
+    }
     memcpy(alpha_g + STAGES + 1, slack, (STAGES + 1) * sizeof(double));
+    gtmr_setpoints(c, (double(*)[N_U])(to + PLAN_SETPOINTS));
 }
 
 static void take_step(gtmr_controller *c)

@@ -46,20 +46,27 @@ typedef struct {
     /* Whether alpha_p enters the QP with its gradient: 0 or 1. */
     double with_margin_gradient;
     /* Observer: gains of [p v b g] by [p v], and of [eta omega tau] by [eta omega] on each axis, row
-     * by row; bounds of theta; what is left of g after T_s. */
+     * by row; bounds of theta; what is left of g after T_s, and its correlation time. */
     double translation_gains[4 * 2];
     double rotation_gains[3 * 3 * 2];
     double theta_bounds[9];
     double gust_decay;
+    double gust_time_s;
+    /* Time constant of rotors behind their speed setpoints, 0 for rotors that take accelerations;
+     * how old a state is when the command acts, of which it counts whether it is 0. */
+    double motor_lag_s;
+    double delay_s;
 } gtmr_parameters;
 
 /*
  * How a step ended. Solved, softened: with the solution of its QP, which in the latter case needs
  * slack. Failed: there are no finite numbers, and the plan is the iterate. Limited: stopped before
  * the solution was found, at the bound on passes or where rounding stood in the way; the plan keeps
- * the limits of the rotors and its slack is told, but there is a better one.
+ * the limits of the rotors and its slack is told, but there is a better one. Refused: a state that
+ * is not finite, or a command that is to act before its state or never; nothing was done.
  */
 typedef enum {
+    GTMR_REFUSED = -1,
     GTMR_SOLVED = 0,
     GTMR_SOFTENED = 1,
     GTMR_FAILED = 2,
@@ -71,7 +78,7 @@ typedef struct gtmr_controller gtmr_controller;
 /* Bytes of the memory of a controller, to be aligned to 64. */
 size_t gtmr_size(void);
 
-/* Entries of a plan, as gtmr_feedback writes it. */
+/* Entries of a plan, as gtmr_step and gtmr_feedback write it. */
 size_t gtmr_plan_length(void);
 
 /* Make a controller in zeroed or used memory. */
@@ -79,6 +86,54 @@ gtmr_controller *gtmr_create(void *memory, const gtmr_parameters *parameters);
 
 /* Take over other parameters; the warm start is kept. */
 void gtmr_reconfigure(gtmr_controller *controller, const gtmr_parameters *parameters);
+
+/*
+ * A step as a whole: warm or cold start, margins, observer, prediction, plan.
+ *
+ * t: stamp of the measured state x (12+N_p) [s], yaw of any number of turns. now: time from which
+ * the command acts and the plan begins, t or later [s]; the state is predicted up to it with the
+ * plans of the steps before.
+ *
+ * plan: x (N+1, 12+N_p), u (N, N_p), terms of alpha_p (N+1, 9), alpha_p (N+1), alpha_g (N+1),
+ * slack (N+1), setpoints of the rotors [Hz] with the lead for their lag (N+1, N_p), one after the
+ * other. Then how many steps ago disturbances began to be estimated when margins were chosen, and
+ * the times that gtmr_begin and gtmr_finish took [s], 0 where POSIX clocks are not declared.
+ */
+gtmr_status gtmr_step(gtmr_controller *controller, double t, const double *x, double now,
+                      double *plan);
+
+/*
+ * Choose the mode, 0 to 1 each: margins of eq. (12) and (13), and the mode offset_free, whose
+ * weights are parameters. Nominal is (0, 0), as at the start, robust (1, 0), offset_free (0, 1);
+ * what is in between is for a switch without a bump. Without any offset_free the observer forgets.
+ */
+void gtmr_set_mode(gtmr_controller *controller, double margin_scale, double offset_free);
+
+/*
+ * Let gtmr_step tighten by a table instead of eq. (12) and (13): in row k what to tell as alpha_p
+ * (N+1) and alpha_g (N+1) [m] of the step k after disturbances began to be estimated, the last row
+ * for all after it. The table stays the caller's; none if there are no rows, as at the start.
+ */
+void gtmr_set_margins(gtmr_controller *controller, const double *table, int rows);
+
+/* Forget the warm start, the plans and what is estimated: the next step is the first. */
+void gtmr_reset(gtmr_controller *controller);
+
+/*
+ * The two phases of gtmr_step, for margins of one's own in between, or to do the first one before
+ * there is a state: x NULL, then nothing is done without a warm start. Done for the same time and
+ * still valid, it is not done again.
+ *
+ * gtmr_begin returns how many steps ago disturbances began to be estimated; -1 if nothing was done.
+ */
+int gtmr_begin(gtmr_controller *controller, double t, const double *x, double now);
+gtmr_status gtmr_finish(gtmr_controller *controller, double t, const double *x, double now,
+                        double *plan);
+
+/* Time from which the last plan acts [s]; not a number before the first step. */
+double gtmr_last_time(const gtmr_controller *controller);
+
+/* The parts of the above, for steps in an order of one's own. */
 
 /* Make the iterate from a state held over the whole horizon. */
 void gtmr_cold(gtmr_controller *controller, const double *x);
@@ -115,12 +170,7 @@ void gtmr_iterate(const gtmr_controller *controller, double *x, double *u, doubl
  * of eq. (12) and (13); with_margin_gradient has to be 0. The plan then says alpha as alpha_p. */
 void gtmr_tighten(gtmr_controller *controller, const double *alpha);
 
-/*
- * Plan from the measured state, its yaw within pi of the iterate's.
- *
- * plan: x (N+1, 12+N_p), u (N, N_p), terms of alpha_p (N+1, 9), alpha_p (N+1), alpha_g (N+1),
- * slack (N+1), one after the other.
- */
+/* Plan from the measured state, its yaw within pi of the iterate's; plan as of gtmr_step. */
 gtmr_status gtmr_feedback(gtmr_controller *controller, const double *x, double *plan);
 
 /* How many passes the active set took in the last step, at most the bound GTMR_MAX_PASSES of

@@ -91,6 +91,9 @@ void gtmr_iterate(const gtmr_controller *c, double *x, double *u, double *Pi)
 
 void gtmr_tighten(gtmr_controller *c, const double *alpha)
 {
+    c->is_tightened = 1;
+    memcpy(c->told[0], alpha, sizeof c->told[0]);
+    memset(c->told[1], 0, sizeof c->told[1]);
     for (int i = 0; i <= STAGES; ++i) {
         clearance *y = &c->clearances[i];
         double constraint[1 + CLEARANCE_STATES];
@@ -100,6 +103,7 @@ void gtmr_tighten(gtmr_controller *c, const double *alpha)
         y->alpha_g = 0.0;
         y->residual = constraint[0] + alpha[i];
     }
+    gtmr_note_prepared(c);
 }
 
 /* Pi s: how the state moves when zeta goes to its worst vertex. */

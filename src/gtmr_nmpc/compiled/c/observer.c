@@ -58,6 +58,13 @@ static void correct(gtmr_controller *c, const double *measured)
     }
 }
 
+static void begin(observer *o, const double *measured)
+{
+    memset(o->theta, 0, sizeof o->theta);
+    memcpy(o->x, measured, sizeof o->x);
+    o->begun = 1;
+}
+
 void gtmr_observe(gtmr_controller *c, const double *measured, double dt, double *estimate)
 {
     observer *o = &c->observer;
@@ -67,9 +74,7 @@ void gtmr_observe(gtmr_controller *c, const double *measured, double dt, double 
         steps = steps < 1 ? 1 : steps;
     }
     if (!o->begun || steps == 0) {
-        memset(o->theta, 0, sizeof o->theta);
-        memcpy(o->x, measured, sizeof o->x);
-        o->begun = 1;
+        begin(o, measured);
     } else {
         const double decay = pow(c->parameters.gust_decay, dt / (steps * PERIOD_S));
         for (int k = 0; k < steps; ++k) {
@@ -84,6 +89,14 @@ void gtmr_observe(gtmr_controller *c, const double *measured, double dt, double 
             }
         }
         correct(c, measured);
+        double sum = 0.0;
+        for (int j = 0; j < N_X; ++j) {
+            sum += o->x[j];
+        }
+        if (!isfinite(sum)) {
+            /* What came before was out of this world. */
+            begin(o, measured);
+        }
     }
     memcpy(estimate, o->x, sizeof o->x);
     memcpy(estimate + N_X, o->theta, sizeof o->theta);

@@ -31,7 +31,14 @@ enum {
     N_ROWS = STAGES * STAGE_ROWS,
     /* Independent rows at most, plus one soft row a stage, plus the row about to enter. */
     MAX_ACTIVE = N_V + STAGES + 1,
-    LD_ACTIVE = PADDED(MAX_ACTIVE + 3) /* whole registers, and whole tiles of four */
+    LD_ACTIVE = PADDED(MAX_ACTIVE + 3), /* whole registers, and whole tiles of four */
+    /* Parts of a plan as a caller gets it, and its length. */
+    PLAN_X = (STAGES + 1) * N_X,
+    PLAN_U = STAGES * N_U,
+    PLAN_CHANNELS = (STAGES + 1) * N_ZETA,
+    PLAN_SETPOINTS = PLAN_X + PLAN_U + PLAN_CHANNELS + 3 * (STAGES + 1),
+    PLAN_NOTES = PLAN_SETPOINTS + (STAGES + 1) * N_U,
+    PLAN_LENGTH = PLAN_NOTES + 3
 };
 
 /* One shooting interval: its linearisation and its part of the Riccati factorisation. */
@@ -92,12 +99,45 @@ typedef struct {
     double theta[N_THETA];
 } observer;
 
+/* A plan that was sent. */
+typedef struct {
+    double start_s;
+    double u[STAGES][N_U];
+    double setpoints[STAGES + 1][N_U];
+} sent_plan;
+
+/* What passes from step to step. */
+typedef struct {
+    double margin_scale; /* of the mode: how much of eq. (12) and (13) applies */
+    double offset_free;  /* and how much of offset_free */
+    const double *margins; /* the table */
+    int margin_rows;
+    int is_prepared; /* for prepared_s */
+    double prepared_s;
+    double clock_s; /* when preparation began, and how long it took */
+    double prepare_s;
+    int begun; /* whether there was a step; from last_s on its plan acts */
+    double last_s;
+    int is_a_start; /* whether that plan can be the next iterate */
+    int observed;   /* whether there was a measurement, at observed_s */
+    double observed_s;
+    int observed_steps;
+    double theta[N_THETA]; /* as it will be when the next plan begins */
+    /* The plans that were sent recently, the oldest at `oldest`, then around. */
+    int sent_count;
+    int oldest;
+    sent_plan sent[SENT_PLANS];
+} progress;
+
 struct gtmr_controller {
     gtmr_parameters parameters;
     observer observer;
+    progress progress;
     int disturbed;                           /* whether theta acts in the model */
     double disturbance[STAGES][N_DISTURBED]; /* force and torque of every stage */
     double margin_scale;
+    int is_tightened; /* by other margins, told as these alpha_p and alpha_g */
+    double told[2][STAGES + 1];
     plan last;               /* what the last step returned */
     double x[STAGES + 1][N_X]; /* the iterate */
     double u[STAGES][N_U];
@@ -174,6 +214,20 @@ void gtmr_working_set_combine(const gtmr_controller *c, const double *by, double
 /* Solve L y = y and L' y = y for the factor L; what is behind the end of y is overwritten. */
 void gtmr_working_set_forward(const working_set *set, double *y);
 void gtmr_working_set_backward(const working_set *set, double *y);
+
+/* sent.c */
+
+/* Remember a plan that acts from start_s on, and what acted at oldest_s. */
+void gtmr_sent_add(gtmr_controller *c, double start_s, double oldest_s, const double *setpoints);
+
+/* Predict a state from its stamp t to now, with the plans that were sent. */
+void gtmr_sent_ahead(gtmr_controller *c, double *x, double t, double now);
+
+/* Speed setpoints that make lagging rotors follow the last plan. */
+void gtmr_setpoints(const gtmr_controller *c, double setpoints[][N_U]);
+
+/* step.c: note that preparation is done. */
+void gtmr_note_prepared(gtmr_controller *c);
 
 /* active_set.c: 0 if solved; otherwise v is that of the multipliers so far, and breaks rows. */
 int gtmr_active_set_solve(gtmr_controller *c);

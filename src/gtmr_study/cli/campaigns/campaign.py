@@ -102,7 +102,13 @@ SUMMARY_WORDS = words_of(SUMMARY_ROWS) | MODE_WORDS
 
 SeedOption = Annotated[int | None, option("K", "Seed.", "0")]
 WorkersOption = Annotated[
-    int | None, option("W", "Processes on this machine.", "one per processor", min=1)
+    int | None,
+    option(
+        "W",
+        "Threads on this machine; processes for a controller of your own.",
+        "one per processor",
+        min=1,
+    ),
 ]
 SchedulerOption = Annotated[
     str | None, option("ADDRESS", "A running Dask scheduler, as tcp://host:8786.")
@@ -143,7 +149,7 @@ def campaign_command(
     scheduler: SchedulerOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Fly a Monte-Carlo campaign on Dask; started again after it was ended, it goes on."""
+    """Fly a Monte-Carlo campaign; started again after it was ended, it goes on."""
     require_one(workers, scheduler)
     require_seed(seed)
     require_folder("--out", out)
