@@ -84,7 +84,7 @@ navigation = {
         "reference/api/*",
         "security",
     ],
-    "results": ["reproduction", "field", "performance", "reliability"],
+    "results": ["reproduction", "field", "arena", "performance", "reliability"],
     "contributing": ["testing"],
 }
 """Which pages stand below which, for the menus; the pages themselves know nothing of it."""

@@ -17,10 +17,8 @@ from pydantic import Field
 
 from gtmr_model import YamlModel
 from gtmr_nmpc import ControllerConfig
-from gtmr_sim import Scenario, StepController
-from gtmr_study.own_controller import OwnController
-from gtmr_study.result_files import InputError, write_whole
-from gtmr_study.rivals.catalogue import RIVALS
+from gtmr_sim import Scenario
+from gtmr_study.result_files import write_whole
 
 
 class ScenarioFile(YamlModel):
@@ -41,19 +39,3 @@ class ScenarioFile(YamlModel):
         """Write it as YAML, whole or not at all."""
         content = self.model_dump(mode="json")
         write_whole(path, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
-
-    def pilot(self, path: Path, own: OwnController | None = None) -> StepController:
-        """Make the controller that flies it; errors name the file, which is at ``path``.
-
-        InputError if it is one of somebody's own and is not given, or another one is given.
-        """
-        if own is not None:
-            if own.name != self.mode:
-                raise InputError(f"--controller = {own.path}:{own.name}: {path} is of {self.mode}")
-            return own.make(self.controller)
-        if self.mode not in RIVALS:
-            raise InputError(
-                f"--scenario = {path}: mode = {self.mode!r} is none of {', '.join(RIVALS)}; name "
-                f"its file: --controller file.py:{self.mode}"
-            )
-        return RIVALS[self.mode].make(self.controller, self.scenario)

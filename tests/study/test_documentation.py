@@ -90,6 +90,15 @@ def test_the_page_of_worlds_says_what_was_measured():
     assert len(flown) >= 7
 
 
+def test_the_page_of_the_arena_says_what_was_flown():
+    module = runpy.run_path(str(ROOT / "docs" / "arena.py"))
+    text = module["PAGE"].read_text(encoding="utf-8")
+    assert module["page"](text) == text, "run python docs/arena.py"
+    results = json.loads((module["KEPT"] / "arena.json").read_text(encoding="utf-8"))
+    assert {result["world"] for result in results} == {"paper", "field", "hard"}
+    assert not any(result["missing"] for result in results)
+
+
 def test_a_measurement_that_lacks_a_solver_is_not_published(tmp_path):
     module = runpy.run_path(str(ROOT / "docs" / "performance.py"))
     few, other = tmp_path / "few.json", tmp_path / "other.json"

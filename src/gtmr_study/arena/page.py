@@ -108,8 +108,8 @@ def _card(results: list[Result], world: str) -> Card:
         f"{escape(best['controller'])} at {best['d_ref_m']:.2f} m",
         f"{verdict(True, said)} (below {high:.1f}&nbsp;% with 95&nbsp;% confidence); mean "
         f"d<sub>T</sub> {best['mean_clearance_m']:.3f}&nbsp;m, RMS "
-        f"{_number(best['radial_rms_settled_m'], 1, 1e3)}&nbsp;mm, {best['step_ms']:.2f}&nbsp;ms a step. "
-        f"Next: {', '.join(others[:2]) or 'nobody'}.",
+        f"{_number(best['radial_rms_settled_m'], 1, 1e3)}&nbsp;mm, {best['step_ms']:.2f}&nbsp;ms "
+        f"a step. Next: {', '.join(others[:2]) or 'nobody'}.",
         controller_key(best["controller"]),
     )
 

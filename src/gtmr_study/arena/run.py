@@ -36,6 +36,9 @@ from gtmr_study.results_folder import Kind, RowsFile
 
 ARENA = Kind("an arena", "plan", Arena)
 FLIGHTS_FILE = "flights.csv"
+LONGER = 4
+"""By how much more flights are handed out at a time than in a campaign: what a worker works out
+for a new cell, a controller's margins for example, must cost little beside them."""
 
 OnProgress = Callable[[int, int], None]
 """Told how many flights are done, and of how many."""
@@ -126,7 +129,8 @@ def _fly(executor: Executor, arena: Arena, file: RowsFile, own: Own) -> Iterator
         if cell in stopped:
             yield [left_out(cell, trial) for trial in missing]
             continue
-        size = cluster.chunk_size(arena.duration_s)
+        share = arena.trials_of(cell.controller) / arena.trials
+        size = max(1, round(LONGER * share * cluster.chunk_size(arena.duration_s)))
         pieces = (missing[first : first + size] for first in range(0, len(missing), size))
         chunks += [(cell, piece) for piece in pieces]
     # All cells grow alike, so that what was cut short tells of all of them.

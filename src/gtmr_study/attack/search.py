@@ -19,7 +19,6 @@ from typing import Any
 
 import cmaes
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from gtmr_study.attack.space import (

@@ -51,6 +51,7 @@ from gtmr_study.result_files import (
     write_json,
     write_whole,
 )
+from gtmr_study.scenario_file import ScenarioFile
 
 REPORT_FILE = "report.html"
 
@@ -156,11 +157,8 @@ def fly_command(
                 f"--scenario = {scenario}: says it all; leave out the rest, but for the file of a "
                 "controller of your own"
             )
-        # Only here: what flies in the arena takes long to import.
-        from gtmr_study.scenario_file import ScenarioFile
-
         again = ScenarioFile.from_yaml(scenario)
-        pilot = again.pilot(scenario, own)
+        pilot = _pilot(again, scenario, own)
         period_s = again.controller.sampling_time_s
         named = f"--scenario = {scenario}"
         log = _flown(named, again.scenario, pilot, again.duration_s, period_s)
@@ -188,6 +186,23 @@ def fly_command(
     period_s = config.sampling_time_s
     log = _flown(f"--controller = {controller or told}", flight, flown, duration, period_s)
     _tell(log, world or "paper", out, page, json)
+
+
+def _pilot(flown: ScenarioFile, path: Path, own: OwnController | None) -> StepController:
+    """Make the controller that flew what is in a file."""
+    # Only here: what flies in the arena takes long to import.
+    from gtmr_study.rivals.catalogue import RIVALS
+
+    if own is not None:
+        if own.name != flown.mode:
+            raise InputError(f"--controller = {own.path}:{own.name}: {path} is of {flown.mode}")
+        return own.make(flown.controller)
+    if flown.mode not in RIVALS:
+        raise InputError(
+            f"--scenario = {path}: mode = {flown.mode!r} is none of {', '.join(RIVALS)}; name its "
+            f"file: --controller file.py:{flown.mode}"
+        )
+    return RIVALS[flown.mode].make(flown.controller, flown.scenario)
 
 
 def scenario_for(

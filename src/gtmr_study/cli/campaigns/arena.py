@@ -34,7 +34,6 @@ COLUMNS = {
     "controller": "Who flies, from the one that flies closest to the tower on.",
     "flies from [m]": "The smallest d_ref that it really flies: no trial violates the clearance "
     "or is in error, and the mean d_T is within 20 mm of d_ref.",
-    "at most [%]": "How often trials there may violate the clearance, with 95 % confidence.",
     "least d_T [m]": "Least clearance of any plant step there; at the largest d_ref where it "
     "flies none.",
     "RMS [mm]": "Of d_T - d_ref there, after the first 5 s.",
@@ -137,12 +136,10 @@ def _print_world(results: list[dict[str, Any]], world: str) -> None:
             if (result["controller"], result["world"]) == (controller, world)
         )
         told = best or farthest
-        rate = "-" if best is None else f"{100.0 * best['violations_95'][1]:.1f}"
         rms_m = told["radial_rms_settled_m"]
         table.add_row(
             Text(controller),
             "none" if best is None else f"{best['d_ref_m']:.2f}",
-            rate,
             _number(told["min_clearance_m"], 3),
             _number(None if rms_m is None else 1e3 * rms_m, 1),
             _number(told["u_rms_hz_s"], 0),

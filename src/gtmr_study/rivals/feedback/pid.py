@@ -30,7 +30,7 @@ from pydantic import Field
 from gtmr_model.dynamics import ATTITUDE, POSITION, RATE, ROTORS, VELOCITY
 from gtmr_nmpc import ControllerConfig
 from gtmr_study.rivals.feedback.present import Command, Present
-from gtmr_study.rivals.feedback.wrench import Wrench, attitude_error, rotation_of
+from gtmr_study.rivals.feedback.wrench import Wrench, attitude_error, cross, rotation_of
 from gtmr_study.rivals.tuning import Parameters, Tuned
 
 Array = NDArray[np.float64]
@@ -84,7 +84,7 @@ class Pid:
         spin = actual.T @ [0.0, 0.0, float(at.yaw_rate[0])] - omega
         k_r, k_w = by.attitude_rad_s**2, 2.0 * by.attitude_rad_s
         inertia = np.array(vehicle.inertia_kg_m2)
-        torque = inertia * (k_r * off + k_w * spin + turned) + np.cross(omega, inertia * omega)
+        torque = inertia * (k_r * off + k_w * spin + turned) + cross(omega, inertia * omega)
 
         wrench = np.concatenate((actual.T @ force, torque))
         u = self._wrench.rotor_accelerations(wrench, state[ROTORS])

@@ -5,4 +5,5 @@
 # writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
+
 """The families of robust MPC that the paper names: ellipsoids, tubes, scenario trees, min-max."""

@@ -5,6 +5,7 @@
 # writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
+
 """Zero-order robust optimisation with ellipsoids, zoRO, as a margin on our own iteration.
 
 A matrix P is carried along the plan, P_{i+1} = A P A' + G W G', and the clearance of stage i is
@@ -16,23 +17,23 @@ What it assumes: deviations are linear, mismatch is small, the state is known ex
 constant in time, so the state is augmented with it: its ellipsoid E enters at stage 0 and zeta
 moves the state at every step, which a W of independent steps would get wrong. Gusts are
 independent. One joint ellipsoid holds the whole box of zeta and the balls of all gusts, corners
-included, so that what flies is a guarantee of the linear model and no quantile; of all
-ellipsoids with axes along them it is the one with the smallest spread across at the end of the
-horizon. Before stage 0 there is what may happen while odometry is late. Rotor limits are not
-tightened: a margin speaks of the clearance alone.
+included, so that what flies is a guarantee of the linear model and no quantile; of all ellipsoids
+with axes along them it is the one with the smallest spread across at the end of the horizon.
+Before stage 0 there is what may happen while odometry is late. Rotor limits are not tightened: a
+margin speaks of the clearance alone.
 
-How tuned: by four factors of the paper's cost, for each world. What it costs: about a
-millisecond a step in NumPy and CasADi, for the Jacobians and the products along the plan.
+How tuned: by four factors of the paper's cost, for each world. What it costs: about a millisecond
+a step in NumPy and CasADi, for the Jacobians and the products along the plan.
 
-Where it breaks: it knows nothing of measurement noise; with the stiff weights that make it exact
-in the paper's world, noise moves the rotors. A steady wind leaves a steady offset, since nothing
-is learnt. Without feedback it bounds a vehicle that nobody steers; with feedback it trusts that
-K acts where the QP acts, which a rotor at its limit does not.
+Where it breaks: it knows nothing of measurement noise, nor of what a wall adds to the bounds. A
+steady wind leaves a steady offset, since nothing is learnt. Without feedback it bounds a vehicle
+that nobody steers; with feedback it trusts that K acts where the QP acts, which a rotor at its
+limit does not.
 
-Its friends say that an ellipsoid is the cheapest set that knows correlations, that shape
-matrices need no vertices, and that feedback in the tube makes it small. So it has feedback as a
-rival of its own, and axes chosen anew at every step: with axes chosen once at hover a plan that
-tilts gets margins that drive the next plan to tilt more, and it flies away.
+Its friends say that an ellipsoid is the cheapest set that knows correlations, that shape matrices
+need no vertices, and that feedback in the tube makes it small. So it gets a filtered state, it
+has feedback as a rival of its own, and axes chosen anew at every step: with axes chosen once at
+hover a plan that tilts gets margins that drive the next plan to tilt more, and it flies away.
 """
 
 import math
@@ -48,6 +49,7 @@ from gtmr_nmpc import Controller, ControllerConfig, Iterate
 from gtmr_nmpc.reference.evaluate import Evaluator
 from gtmr_study.rivals.robust_mpc.ancillary import Ancillary, jacobians
 from gtmr_study.rivals.robust_mpc.cost import CostParameters
+from gtmr_study.rivals.robust_mpc.filtered import Filtered
 from gtmr_study.rivals.tuning import Tuned
 
 Array = NDArray[np.float64]
@@ -118,16 +120,28 @@ def shares(moved: Array) -> Array:
     return np.concatenate([share[:N_ZETA], np.repeat(share[N_ZETA:], 3)])
 
 
-def _make(config: ControllerConfig, parameters: CostParameters, feedback: bool) -> Controller:
-    weighed = parameters.weigh(config)
-    # A margin of one's own is any object with ``tightening``.
-    margin: Any = EllipsoidMargin(weighed, feedback)
-    return Controller(weighed, "robust", margin=margin)
+class Ellipsoid(Filtered):
+    """Plans with ellipsoids from a filtered state."""
+
+    def __init__(
+        self, config: ControllerConfig, parameters: CostParameters, feedback: bool
+    ) -> None:
+        weighed = parameters.weigh(config)
+        super().__init__(weighed)
+        # A margin of one's own is any object with ``tightening``.
+        margin: Any = EllipsoidMargin(weighed, feedback)
+        self._planner = Controller(weighed, "robust", margin=margin)
+
+    def plan(self, now: float, x: Array) -> Array:
+        """See `Filtered.plan`."""
+        return self._planner.step(now, x).u
 
 
-ELLIPSOID = Tuned("ellipsoid", CostParameters, partial(_make, feedback=False), constrained=True)
+ELLIPSOID = Tuned(
+    "ellipsoid", CostParameters, partial(Ellipsoid, feedback=False), constrained=True
+)
 """zoRO without feedback in its tube."""
 ELLIPSOID_FEEDBACK = Tuned(
-    "ellipsoid_feedback", CostParameters, partial(_make, feedback=True), constrained=True
+    "ellipsoid_feedback", CostParameters, partial(Ellipsoid, feedback=True), constrained=True
 )
 """zoRO with feedback in its tube."""
