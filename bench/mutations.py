@@ -25,6 +25,7 @@ from pathlib import Path
 C = "src/gtmr_nmpc/compiled/c"
 COMPILED = "tests/nmpc/test_compiled.py::test_"
 CONTROLLER = "tests/nmpc/test_controller.py::test_"
+IN_C = "tests/nmpc/test_step_in_c.py::test_"
 PASSES = "tests/nmpc/test_passes.py::test_"
 SENSITIVITY = "tests/nmpc/test_sensitivity.py::test_"
 MESSAGES = "tests/msgs/test_messages.py::test_"
@@ -111,15 +112,15 @@ MUTATIONS = [
         SENSITIVITY + "alpha_p_is_the_worst_vertex",
     ),
     (
-        "src/gtmr_nmpc/controller.py",
+        "src/gtmr_nmpc/online/stepper.py",
         "> tower.radius_m + tower.min_clearance_m",
         "> 10.0 * (tower.radius_m + tower.min_clearance_m)",
         CONTROLLER + "after_an_unfit_plan_the_next_step_starts_from_the_measured_state",
     ),
     (
-        "src/gtmr_nmpc/controller.py",
-        "abs(angle) < math.pi / 2",
-        "abs(angle) < math.inf",
+        f"{C}/step.c",
+        "plan[i * N_X + PITCH]) < PI / 2.0",
+        "plan[i * N_X + PITCH]) < HUGE_VAL",
         CONTROLLER + "a_plan_that_turns_over_does_not_turn_the_next_command_around",
     ),
     (
@@ -252,6 +253,30 @@ MUTATIONS = [
         "np.clip(self._theta, -1e9, 1e9, out=self._theta)",
         "tests/nmpc/test_observer.py::"
         "test_a_vehicle_held_by_the_ground_winds_up_no_further_than_the_bounds",
+    ),
+    (
+        f"{C}/sent.c",
+        "sent(c, 1)->start_s <= oldest_s",
+        "sent(c, 1)->start_s <= start_s",
+        IN_C + "a_flight_is_the_same_to_the_last_digit[nominal-hard]",
+    ),
+    (
+        f"{C}/step.c",
+        "p->theta[j] *= exp(",
+        "p->theta[j] *= 1.0 + 0.0 * exp(",
+        IN_C + "a_flight_is_the_same_to_the_last_digit[offset_free-field]",
+    ),
+    (
+        f"{C}/step.c",
+        "if (offset_free == 0.0 && p->offset_free != 0.0)",
+        "if (0)",
+        IN_C + "switches_margins_of_ones_own_and_resets_are_the_same_too[frozen-None]",
+    ),
+    (
+        "src/gtmr_nmpc/compiled/stepper.py",
+        "self._plan.copy()",
+        "self._plan",
+        COMPILED + "controllers_in_one_process_do_not_disturb_each_other",
     ),
     (
         "src/gtmr_nmpc/online/sent.py",

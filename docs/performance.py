@@ -97,6 +97,23 @@ def steps(bench: dict[str, Any]) -> str:
     return f"{head}\n\n{table(['flight', *CONTROLLERS.values()], rows)}"
 
 
+def from_python(bench: dict[str, Any]) -> str:
+    """Medians of the step from Python and in C [us], and their ratio, by flight and controller."""
+    if "in_c" not in bench:
+        return "Not measured yet: `gtmr bench` does."
+    rows = [
+        [FLIGHTS[flight]]
+        + [
+            said((1e3 * figures[way]["median"] for way in ("python", "c")), ".1f")
+            + f", {figures['ratio']['median']:.2f}"
+            for figures in (by[name] for name in CONTROLLERS)
+        ]
+        for flight, by in bench["in_c"].items()
+    ]
+    head = f"{source(bench)}; medians from Python and in C [µs], ratio:"
+    return f"{head}\n\n{table(['flight', *CONTROLLERS.values()], rows)}"
+
+
 def c_steps(told: dict[str, Any]) -> str:
     """Percentiles of the C step [us], then and now, and their ratios."""
     rows = []
@@ -187,6 +204,7 @@ def pages(kept: dict[str, Any]) -> dict[Path, str]:
     tables = {
         PAGE: {
             "steps": steps(bench),
+            "in-c": from_python(bench),
             "c-step": c_steps(kept["c_step"]),
             "qp": qps(bench),
             "general": general(bench),

@@ -8,7 +8,8 @@
 
 """A controller of your own, an LQR with integral action, against the robust NMPC on one seed.
 
-Try it on many flights: gtmr campaign --controller examples/05_own_controller.py:Lqr --out DIR
+It counts on odometry at once and rotors that take accelerations, as in the world `paper`. Many
+flights: gtmr campaign --controller examples/05_own_controller.py:Lqr --out DIR
 """
 
 import numpy as np

@@ -8,7 +8,8 @@
 
 """A cascade of PIDs for rotors that push into any direction, flown against the robust NMPC.
 
-Compare it with others on many flights: gtmr arena --controllers examples/09_pid_controller.py:Pid
+It counts on odometry at once and rotors that take accelerations, as in the world `paper`. Against
+all others there: gtmr arena --worlds paper --controllers examples/09_pid_controller.py:Pid,...
 """
 
 import numpy as np

@@ -85,6 +85,18 @@ def test_a_mass_that_changes_in_flight_becomes_a_force_within_bounds():
 
 
 @pytest.mark.parametrize("which", ["compiled", "numpy"])
+def test_a_measurement_out_of_this_world_is_forgotten_with_the_next_one(which):
+    observer, _ = observers()[which]
+    observer.update(hover(), 0.0)
+    far = hover()
+    far[ROTORS] = 1e200
+    observer.update(far, TS)
+    estimate = observer.update(hover(), TS)
+    np.testing.assert_array_equal(estimate.x, hover())
+    np.testing.assert_array_equal(estimate.theta, np.zeros(9))
+
+
+@pytest.mark.parametrize("which", ["compiled", "numpy"])
 def test_a_vehicle_held_by_the_ground_winds_up_no_further_than_the_bounds(which):
     observer, _ = observers()[which]
     x = hover()

@@ -9,6 +9,7 @@
 """A closed loop in one call is the one step by step, to the last digit but for solve times."""
 
 import ctypes
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import numpy as np
@@ -153,6 +154,18 @@ def test_what_a_wild_controller_tells_is_kept_as_step_by_step(world):
     assert_same(*logs)
     assert 5 < logs[0].failed_steps < 40
     assert 5 < logs[0].guard.sum() < 60
+
+
+def test_flights_in_four_threads_are_those_of_one():
+    def flight(k):
+        world, mode = ("paper", "hard")[k % 2], ("nominal", "offset_free")[k // 2 % 2]
+        log = fly(scenario(world, seed=k), Controller(config(world), mode), 1.0)
+        return log.x.tobytes() + log.alpha_p.tobytes()
+
+    with ThreadPoolExecutor(4) as threads:
+        together = list(threads.map(flight, range(12)))
+
+    assert together == [flight(k) for k in range(12)]
 
 
 def test_one_flight_after_another_with_the_same_controller():

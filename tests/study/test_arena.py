@@ -285,3 +285,15 @@ def test_all_of_the_arena_fly_if_nobody_is_named():
     names, own = named_controllers("--controllers", None)
     assert (names, own) == (list(RIVALS), [])
     assert set(OWN).isdisjoint(RIVALS)
+
+
+def test_a_flight_is_stopped_by_its_steps_not_by_its_start(monkeypatch):
+    times = iter([100.0, 100.5, 101.0, 101.5])
+    monkeypatch.setattr(flight.time, "perf_counter", lambda: next(times))
+    clock = flight._Clock(plan(step_budget_ms=20.0, patience_s=1.2))
+    # A loop in C tells of 40 steps at once.
+    for steps in (40, 60, 80):
+        clock(steps)
+    assert (clock.steps, clock.mean_ms) == (80, pytest.approx(25.0))
+    with pytest.raises(flight.StoppedFlight, match="20 ms"):
+        clock(100)

@@ -67,7 +67,7 @@ def assert_repeats_the_flight(folder, program):
 def test_exported_controller_builds_strictly_and_repeats_the_flight(
     tmp_path, vehicle, tightening, mode, flags
 ):
-    late = {"delay_s": 0.05, "motor_lag_s": 0.05} if vehicle == "octo" else {}
+    late = {"delay_s": 0.025, "motor_lag_s": 0.02} if vehicle == "octo" else {}
     config = ControllerConfig(
         vehicle=Vehicle.preset("vehicle", vehicle), tightening=tightening, **late
     )

@@ -51,18 +51,30 @@ def test_rotors_go_to_the_speeds_that_make_the_wrench(change):
     assert VEHICLE.allocation @ speeds**2 == pytest.approx(wanted, abs=1e-9)
 
 
-@given(changes.filter(lambda change: np.abs(change).max() > 0.1))
-def test_too_much_is_scaled_towards_hover_within_limits(change):
-    wanted = WEIGHT + 1e3 * change
+@given(changes.filter(lambda change: np.abs(change[:3]).max() > 0.1))
+def test_of_too_much_the_torque_goes_first_and_the_force_is_scaled_towards_hover(change):
+    wanted = WEIGHT + change * [1e3, 1e3, 1e3, 0.5, 0.5, 0.5]
     speeds, saturated = speeds_for(wanted)
     given_more, asked_more = VEHICLE.allocation @ speeds**2 - WEIGHT, wanted - WEIGHT
 
     assert saturated
     assert speeds.min() > VEHICLE.min_rotor_speed_hz - 1e-9
     assert speeds.max() < VEHICLE.max_rotor_speed_hz + 1e-9
-    share = given_more @ asked_more / (asked_more @ asked_more)
+    assert given_more[3:] == pytest.approx(asked_more[3:], abs=1e-9)
+    share = given_more[:3] @ asked_more[:3] / (asked_more[:3] @ asked_more[:3])
     assert 0.0 < share < 1.0
-    assert given_more == pytest.approx(share * asked_more, abs=1e-9)
+    assert given_more[:3] == pytest.approx(share * asked_more[:3], abs=1e-9)
+
+
+@given(changes.filter(lambda change: np.abs(change[3:]).max() > 0.1))
+def test_too_much_torque_is_scaled_and_leaves_rotors_within_limits(change):
+    speeds, saturated = speeds_for(WEIGHT + 1e3 * change)
+    turned, asked = (VEHICLE.allocation @ speeds**2 - WEIGHT)[3:], 1e3 * change[3:]
+
+    assert saturated
+    assert speeds.min() > VEHICLE.min_rotor_speed_hz - 1e-9
+    assert speeds.max() < VEHICLE.max_rotor_speed_hz + 1e-9
+    assert turned == pytest.approx((turned @ asked) / (asked @ asked) * asked, abs=1e-9)
 
 
 @given(angles)

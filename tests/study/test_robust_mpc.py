@@ -16,7 +16,7 @@ from gtmr_nmpc import Controller, ControllerConfig
 from gtmr_nmpc.margins import Iterate
 from gtmr_nmpc.ocp import discrete_dynamics, disturbed_dynamics
 from gtmr_sim import GustConfig, Scenario, fly
-from gtmr_study.rivals.robust_mpc.ancillary import Ancillary, about_hover, jacobians
+from gtmr_study.rivals.robust_mpc.ancillary import Ancillary, about_hover
 from gtmr_study.rivals.robust_mpc.cost import CostParameters
 from gtmr_study.rivals.robust_mpc.ellipsoid import (
     ELLIPSOID,
@@ -24,6 +24,7 @@ from gtmr_study.rivals.robust_mpc.ellipsoid import (
     EllipsoidMargin,
     shares,
 )
+from gtmr_study.rivals.robust_mpc.linearised import jacobians, linearise
 from gtmr_study.rivals.robust_mpc.min_max import MinMax, vertices
 from gtmr_study.rivals.robust_mpc.scenario_tree import (
     SCENARIO_TREE,
@@ -100,6 +101,14 @@ def test_the_ellipsoids_hold_what_vertices_and_gusts_do_to_the_plan(plan, feedba
         closest = max(closest, np.abs(across[-1]) / half_widths[-1])
     # No more than needed either: some of them come close.
     assert closest > 0.5
+
+
+def test_compiled_jacobians_are_those_of_casadi(plan):
+    of = jacobians(CONFIG.vehicle, CONFIG.sampling_time_s)
+    given = CONFIG.vehicle, CONFIG.sampling_time_s, plan.x[:-1], plan.u
+    for i, blocks in enumerate(zip(*linearise(*given), strict=True)):
+        for ours, theirs in zip(blocks, of(plan.x[i], plan.u[i]), strict=True):
+            assert np.allclose(ours, np.asarray(theirs), rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("feedback", [False, True])

@@ -39,6 +39,9 @@ class StepController(Protocol):
         some, and ``alpha_p``, ``alpha_g``, ``slack``, ``status`` and ``timing.total_s`` as a
         `gtmr_nmpc.Solution` has them; what it has goes into the flight's log.
 
+        A controller whose step is compiled may also have ``native()``, which returns a
+        `gtmr_sim.flying.native.NativeStep`, or None: then the whole flight is one call in C.
+
         In a world whose odometry is late, t is the stamp of what was measured, and a ``step`` that
         takes ``now`` is also told the time from which its plan is played [s].
 

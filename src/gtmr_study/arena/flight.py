@@ -63,25 +63,22 @@ class StoppedFlight(Exception):
 
 
 class _Clock:
-    """Stops a flight whose steps take too long.
-
-    It is told of every step, or of many at a time; before the first time it may load or compile.
-    """
+    """Stops a flight whose steps take too long, counted from when it is first told of some."""
 
     def __init__(self, arena: Arena) -> None:
-        self.arena, self.start_s = arena, 0.0
-        self.first = self.steps = 0
-        self.mean_ms = 0.0
+        self.arena = arena
+        self.steps, self.mean_ms = 0, 0.0
+        self._first: tuple[int, float] | None = None
 
     def __call__(self, steps: int) -> None:
-        self.steps = steps
-        if self.first == 0:
-            self.first, self.start_s = steps, time.perf_counter()
+        self.steps, now_s = steps, time.perf_counter()
+        if self._first is None:
+            self._first = steps, now_s
             return
-        spent_s = time.perf_counter() - self.start_s
-        self.mean_ms = 1e3 * spent_s / (steps - self.first)
+        first, start_s = self._first
+        self.mean_ms = 1e3 * (now_s - start_s) / (steps - first)
         budget_ms = self.arena.step_budget_ms
-        if spent_s > self.arena.patience_s and self.mean_ms > budget_ms:
+        if now_s - start_s > self.arena.patience_s and self.mean_ms > budget_ms:
             raise StoppedFlight(f"steps take more than the {budget_ms:g} ms that are allowed")
 
 

@@ -23,6 +23,8 @@ from gtmr_nmpc.compiled.iteration import CompiledIteration, CParameters, paramet
 from gtmr_nmpc.compiled.stepper import margin_table
 from gtmr_nmpc.margins import ClosedLoopMargin, PaperMargin
 from gtmr_sim import Scenario, Simulation
+from gtmr_sim.worlds.motors import Motors
+from gtmr_sim.worlds.world import World
 from gtmr_study.export.guard import guard_files
 
 FLIGHT_S = 10.0
@@ -129,6 +131,7 @@ def _flight(config: ControllerConfig, mode: Mode) -> str:
 
     Rotor limits, clearance and slacks are active in it, at first all of them.
     """
+    lag_s = config.motor_lag_s
     zeta = (*(0.0,) * 6, *(0.7 * bound for bound in config.uncertainty.wind_bias_n))
     scenario = Scenario(
         vehicle=config.vehicle,
@@ -137,6 +140,7 @@ def _flight(config: ControllerConfig, mode: Mode) -> str:
         uncertainty=config.uncertainty,
         zeta=zeta,
         guard="hold",
+        world=World(motors=Motors(lag_s=lag_s) if lag_s > 0.0 else None),
     )
     simulation = Simulation(scenario, config.sampling_time_s)
     start = simulation.x
@@ -154,6 +158,6 @@ def _flight(config: ControllerConfig, mode: Mode) -> str:
         commands = (*solution.u, *solution.setpoints_hz[1])
         values = (t, now, solution.margin_scale, *x, *commands)
         rows.append(",".join(repr(float(v)) for v in values))
-        simulation.command(now, solution.u_plan)
+        simulation.command(now, solution.u_plan, solution.setpoints_hz)
         simulation.advance(config.sampling_time_s)
     return "\n".join(rows) + "\n"

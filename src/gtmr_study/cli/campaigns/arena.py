@@ -32,12 +32,12 @@ QUICK: dict[str, Any] = {"trials": 4, "d_ref_m": (0.25, 0.35), "duration_s": 10.
 
 COLUMNS = {
     "controller": "Who flies, from the one that flies closest to the tower on.",
-    "flies from [m]": "The smallest d_ref that it really flies: no trial violates the clearance "
+    "from [m]": "The smallest d_ref that it really flies: no trial violates the clearance "
     "or is in error, and the mean d_T is within 20 mm of d_ref.",
-    "least d_T [m]": "Least clearance of any plant step there; at the largest d_ref where it "
+    "least [m]": "Least clearance d_T of any plant step there; at the largest d_ref where it "
     "flies none.",
     "RMS [mm]": "Of d_T - d_ref there, after the first 5 s.",
-    "effort [Hz/s]": "Root mean square of the rotors' accelerations there.",
+    "u [Hz/s]": "Root mean square of the rotors' accelerations there.",
     "step [ms]": "Time that a controller step takes, median, with as many flights at once as "
     "there are workers.",
 }

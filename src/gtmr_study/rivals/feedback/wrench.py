@@ -81,15 +81,26 @@ class Wrench:
     def rotor_accelerations(self, wrench: Array, speeds_hz: Array) -> Array:
         """Bring rotors from their speeds [Hz] to those of a wrench; gives [Hz/s], shape (N_p,).
 
-        A wrench beyond the rotors' limits is scaled towards that of hover, so that a vehicle that
-        is asked for too much stays level and aloft.
+        Of a wrench beyond the rotors' limits the torque goes first, and the force is scaled
+        towards that of hover: a vehicle that is asked for too much must not turn over.
         """
-        change = self._inverse @ wrench - self._hover
-        room = np.where(change > 0.0, self._high - self._hover, self._hover - self._low)
-        excess = float(np.max(np.abs(change) / room))
-        self.is_saturated = excess > 1.0
-        squared = self._hover + change / max(1.0, excess)
-        return np.asarray((np.sqrt(squared) - speeds_hz) / ROTOR_LOOP_S)
+        force, torque = wrench.copy(), wrench.copy()
+        force[3:] = torque[:3] = 0.0
+        turning = self._inverse @ torque
+        pushing = self._inverse @ force - self._hover
+        share = self._share(self._hover, turning)
+        squared = self._hover + share * turning
+        share_of_force = self._share(squared, pushing)
+        self.is_saturated = min(share, share_of_force) < 1.0
+        squared = squared + share_of_force * pushing
+        return np.asarray((np.sqrt(np.maximum(squared, 0.0)) - speeds_hz) / ROTOR_LOOP_S)
+
+    def _share(self, squared: Array, change: Array) -> float:
+        """How much of a change keeps squared rotor speeds within limits, 0 to 1."""
+        room = np.where(change > 0.0, self._high - squared, squared - self._low)
+        room = np.maximum(room, 0.0)
+        short = np.abs(change) > room
+        return float(np.min(room[short] / np.abs(change[short]), initial=1.0))
 
     def hover_force(self) -> Array:
         """Force that holds the nominal vehicle, world frame [N], shape (3,)."""

@@ -15,17 +15,16 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from gtmr_model import N_ZETA, Vehicle
+from gtmr_model import Vehicle
 from gtmr_model.dynamics import (
     POSITION,
     ROTORS,
     VELOCITY,
     YAW,
-    discrete_step,
     one_at_a_time,
-    symbols,
 )
 from gtmr_nmpc import ControllerConfig, ocp
+from gtmr_study.rivals.robust_mpc.linearised import jacobians
 
 Array = NDArray[np.float64]
 
@@ -34,18 +33,6 @@ FACING_RAD = math.pi
 """Yaw at which hover is linearised, facing the tower from the x axis [rad]."""
 DIGITS = 10
 """Kept of the gains: the rest depends on how many threads solve an equation."""
-
-
-@lru_cache(maxsize=8)
-@one_at_a_time
-def jacobians(vehicle: Vehicle, step_s: float) -> ca.Function:
-    """(x, u) -> dF/dx, dF/du, dF/dzeta and dF/dw_g of one RK4 step, at zeta = 0 without gust."""
-    x, u, zeta, w_g = symbols(vehicle)
-    x_next = discrete_step(x, u, zeta, w_g, vehicle, step_s)
-    blocks = [ca.jacobian(x_next, of) for of in (x, u, zeta, w_g)]
-    nominal = [ca.vertcat(zeta, w_g)], [ca.DM.zeros(N_ZETA + 3)]
-    blocks = [ca.densify(block) for block in ca.substitute(blocks, *nominal)]
-    return ca.Function("jacobians", [x, u], ca.cse(blocks))
 
 
 @lru_cache(maxsize=8)

@@ -46,10 +46,10 @@ from numpy.typing import NDArray
 from gtmr_model import N_ZETA
 from gtmr_model.dynamics import YAW
 from gtmr_nmpc import Controller, ControllerConfig, Iterate
-from gtmr_nmpc.reference.evaluate import Evaluator
-from gtmr_study.rivals.robust_mpc.ancillary import Ancillary, jacobians
+from gtmr_study.rivals.robust_mpc.ancillary import Ancillary
 from gtmr_study.rivals.robust_mpc.cost import CostParameters
 from gtmr_study.rivals.robust_mpc.filtered import Filtered
+from gtmr_study.rivals.robust_mpc.linearised import linearise
 from gtmr_study.rivals.tuning import Tuned
 
 Array = NDArray[np.float64]
@@ -63,9 +63,6 @@ class EllipsoidMargin:
 
     def __init__(self, config: ControllerConfig, feedback: bool) -> None:
         self._late = math.ceil(config.delay_s / config.sampling_time_s - 1e-9)
-        self._jacobians = Evaluator(
-            jacobians(config.vehicle, config.sampling_time_s), config.horizon
-        )
         self._ancillary = Ancillary(config) if feedback else None
 
     def tightening(self, iterate: Iterate) -> Array:
@@ -83,24 +80,23 @@ class EllipsoidMargin:
         The columns are zeta's nine, then three of each gust, those during the delay first.
         """
         config, (stages, n_x) = iterate.config, iterate.x.shape
-        a, b, e, g = self._jacobians(iterate.x[:-1], iterate.u)
+        a, b, e, g = linearise(config.vehicle, config.sampling_time_s, iterate.x[:-1], iterate.u)
         e = e * config.uncertainty.half_widths
         g = g * config.uncertainty.gust_n
-        moved = np.zeros((stages, n_x, N_ZETA + 3 * (self._late + stages - 1)))
+        closed = a
+        if self._ancillary is not None:
+            closed = a + b @ np.array([self._ancillary.gain(yaw) for yaw in iterate.x[:-1, YAW]])
+        late = self._late
+        moved = np.zeros((stages, n_x, N_ZETA + 3 * (late + stages - 1)))
         at = np.zeros(moved.shape[1:])
-        for step in range(self._late + stages - 1):
-            i = max(0, step - self._late)
-            if self._ancillary is not None and step >= self._late:
-                at = a[i] @ at + b[i] @ (self._ancillary.gain(iterate.x[i, YAW]) @ at)
-            else:
-                at = a[i] @ at
+        for step in range(late + stages - 1):
+            i, gust = max(0, step - late), N_ZETA + 3 * step
+            # Columns of later gusts are still zero.
+            at[:, :gust] = (closed if step >= late else a)[i] @ at[:, :gust]
             at[:, :N_ZETA] += e[i]
-            gust = N_ZETA + 3 * step
             at[:, gust : gust + 3] += g[i]
-            if step == self._late - 1:
-                moved[0] = at
-            if step >= self._late:
-                moved[i + 1] = at
+            if step >= late - 1:
+                moved[step - late + 1] = at
         return moved
 
 

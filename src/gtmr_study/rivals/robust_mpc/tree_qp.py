@@ -27,6 +27,10 @@ ROW_TOLERANCE = 1e-7
 """By how much a row may be broken, in its own units [m, Hz, Hz/s]."""
 
 
+DEPENDENT = 1e-9
+"""Share of a row that is no new direction [-]."""
+
+
 class _Row(NamedTuple):
     """A row of the constraints, row <= bound."""
 
@@ -71,26 +75,25 @@ class TreeQp:
             return np.asarray(solve_triangular(root, v, lower=True, trans="T"))
 
         free = point = -back(solve_triangular(root, self._gradient, lower=True))
-        entered: list[_Row] = []
         known: set[tuple[int, int]] = set()
-        directions = np.zeros((self._size, 0))
+        limits, soft = np.zeros(0), np.zeros(0, dtype=bool)
+        # Directions that the rows so far push along, orthonormal, and the rows in their terms.
+        basis, rows = np.zeros((self._size, 0)), np.zeros((0, 0))
         for _ in range(MAX_PASSES):
             broken = [row for row in self._broken(point) if row.name not in known]
             if not broken:
                 break
-            entered += broken
             known.update(row.name for row in broken)
-            more = solve_triangular(root, np.array([row.row for row in broken]).T, lower=True)
-            directions = np.hstack([directions, more])
-            basis, rows = np.linalg.qr(directions)
-            limits = [row.bound - float(row.row @ free) for row in entered]
-            step = self._closest(rows.T, np.array(limits), [row.is_soft for row in entered])
-            point = free + back(basis @ step)
+            more = np.array([row.row for row in broken])
+            limits = np.append(limits, [row.bound for row in broken] - more @ free)
+            soft = np.append(soft, [row.is_soft for row in broken])
+            basis, rows = _with(basis, rows, solve_triangular(root, more.T, lower=True))
+            point = free + back(basis @ self._closest(rows, limits, soft))
         return [point[at] for at in self._at]
 
-    def _closest(self, rows: Array, limits: Array, soft: list[bool]) -> Array:
+    def _closest(self, rows: Array, limits: Array, soft: NDArray[np.bool_]) -> Array:
         """Find the z of least norm with rows z <= limits, where soft rows cost what is beyond."""
-        n, k = rows.shape[1], sum(soft)
+        n, k = rows.shape[1], int(soft.sum())
         slacks = np.zeros((len(rows), k))
         slacks[np.flatnonzero(soft), np.arange(k)] = -1.0
         free = np.full(n, UNBOUNDED)
@@ -125,6 +128,23 @@ class TreeQp:
                 row = np.zeros(self._size)
                 row[at] = own
                 yield _Row((k, i), row, bound, is_soft)
+
+
+def _with(basis: Array, rows: Array, directions: Array) -> tuple[Array, Array]:
+    """Take more rows into an orthonormal basis: the basis, and all rows in its terms."""
+    from scipy.linalg import qr
+
+    # Rows that depend on others bring no direction, but rounding.
+    scale = np.linalg.norm(directions, axis=0)
+    rest = directions / scale
+    for _ in range(2):
+        rest -= basis @ (basis.T @ rest)
+    added, upper, _ = qr(rest, mode="economic", pivoting=True)
+    added = added[:, np.abs(np.diag(upper)) > DEPENDENT]
+    added = np.linalg.qr(added - basis @ (basis.T @ added))[0]
+    grown = np.hstack([basis, added])
+    above = np.zeros((len(rows), added.shape[1]))
+    return grown, np.vstack([np.hstack([rows, above]), directions.T @ grown])
 
 
 def _row(qp: CondensedQp, i: int) -> tuple[Array, float, bool]:
