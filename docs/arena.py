@@ -27,7 +27,7 @@ from gtmr_study.arena.charts import FIGURE
 from gtmr_study.arena.page import RESULTS
 from gtmr_study.arena.plan import Arena
 from gtmr_study.arena.run import ARENA
-from gtmr_study.arena.table import BEYOND_KNOWLEDGE, Result, choice, closest, is_flown
+from gtmr_study.arena.table import Result, candidates, closest, is_flown
 from gtmr_study.rivals.catalogue import RIVALS
 
 PAGE = Path(__file__).with_suffix(".md")
@@ -62,15 +62,11 @@ def choices(arena: Arena, results: list[Result]) -> str:
     """Say whom to take in each world, and why."""
     rows = []
     for met in arena.worlds:
-        best = choice(results, met.name)
+        best, *next_ones = candidates(results, met.name) or [None]
         if best is None:
             rows.append([f"`{met.name}`", "nobody", "", "", "", "", "", ""])
             continue
-        others = [
-            f"`{name}` from {other['d_ref_m']:.2f} m"
-            for name, other in closest(results, met.name).items()
-            if other is not None and name not in (best["controller"], *BEYOND_KNOWLEDGE)
-        ]
+        others = [f"`{other['controller']}` from {other['d_ref_m']:.2f} m" for other in next_ones]
         rows.append(
             [
                 f"`{met.name}`",

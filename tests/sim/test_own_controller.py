@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from gtmr_nmpc import Controller
-from gtmr_sim import FlightError, Scenario, fly
+from gtmr_sim import FlightError, Scenario, World, fly
 
 PERIOD_S = 0.025
 
@@ -100,3 +100,18 @@ def test_a_controller_that_tells_its_slack_now_and_then_is_refused():
 
     with pytest.raises(FlightError, match="in its first step"):
         fly(Scenario(), Gives(now_and_then), 0.1)
+
+
+class Faster:
+    """Asks all rotors for the same acceleration, and is not told when it acts."""
+
+    def step(self, t, x):
+        return np.full(6, 4.0)
+
+
+def test_accelerations_alone_act_in_a_world_whose_odometry_is_late():
+    scenario = Scenario(gust={"kind": "none"}, world=World.preset("world", "field"), guard="hold")
+    log = fly(scenario, Faster(), 1.0)
+    gained_hz = log.x[-1, 12:] - log.x[0, 12:]
+    # 4 Hz/s over a second, less what comes late: the odometry, and the motors.
+    assert ((gained_hz > 3.6) & (gained_hz < 4.0)).all()

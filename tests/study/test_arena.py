@@ -22,7 +22,7 @@ from gtmr_study.arena import flight
 from gtmr_study.arena.page import write_arena
 from gtmr_study.arena.plan import Cell
 from gtmr_study.arena.run import fly_arena
-from gtmr_study.arena.table import choice, closest, is_flown, results_of
+from gtmr_study.arena.table import candidates, closest, is_flown, results_of
 from gtmr_study.result_files import InputError
 from gtmr_study.rivals import catalogue
 from gtmr_study.rivals.catalogue import RIVALS
@@ -169,13 +169,22 @@ def test_who_flies_closest_is_taken_and_an_error_or_a_violation_never_wins():
         cell_result("fine", 0.25),
         cell_result("fine", 0.30),
     ]
-    assert choice(results, "paper") is results[7]
+    assert candidates(results, "paper") == [results[7], results[6]]
     found = closest(results, "paper")
     assert list(found)[:3] == ["oracle", "fine", "rough"]
     assert {name for name, best in found.items() if best is None} == {
         "broken", "bold", "shy", "cut", "none",
     }  # fmt: skip
-    assert choice(results[:6], "paper") is None
+    assert candidates(results[:6], "paper") == []
+
+
+def test_who_flew_too_few_trials_to_tell_is_not_taken():
+    few, many = cell_result("slow", 0.21, trials=34), cell_result("fine", 0.25, trials=200)
+    enough = few | {"trials": 35}
+    assert candidates([few, many], "paper") == [many]
+    assert candidates([enough, many], "paper") == [enough, many]
+    assert candidates([cell_result("quick", 0.21, trials=4)], "paper")[0]["trials"] == 4
+    assert list(closest([few, many], "paper")) == ["slow", "fine"]
 
 
 def test_the_worst_flights_fly_again_by_their_commands(flown, tmp_path, gtmr):

@@ -370,7 +370,7 @@ def test_perturbations_are_those_of_the_simulated_world():
                 return solution
             k = round(t / config.sampling_time_s) - 20
             u = np.vstack([solution.u_plan[k:], np.zeros((k, 6))])
-            return type(solution)(**{**solution.__dict__, "u_plan": u})
+            return replace(solution, u_plan=u)
 
     log = fly(scenario, Kept(), 1.025)
     x0, plan = plans[20]

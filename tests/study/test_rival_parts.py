@@ -39,25 +39,28 @@ changes = st.tuples(*[st.floats(-1.0, 1.0)] * 6).map(np.array)
 def speeds_for(wrench, vehicle=VEHICLE):
     rotors = Wrench(vehicle)
     at = vehicle.hover_rotor_speeds_hz
-    return at + ROTOR_LOOP_S * rotors.rotor_accelerations(wrench, at), rotors.is_saturated
+    return at + ROTOR_LOOP_S * rotors.rotor_accelerations(wrench, at), (
+        rotors.force_is_limited,
+        rotors.torque_is_limited,
+    )
 
 
 @given(changes)
 def test_rotors_go_to_the_speeds_that_make_the_wrench(change):
     wanted = WEIGHT + change * [2.0, 2.0, 5.0, 0.5, 0.5, 0.5]
-    speeds, saturated = speeds_for(wanted)
+    speeds, limited = speeds_for(wanted)
 
-    assert not saturated
+    assert limited == (False, False)
     assert VEHICLE.allocation @ speeds**2 == pytest.approx(wanted, abs=1e-9)
 
 
 @given(changes.filter(lambda change: np.abs(change[:3]).max() > 0.1))
 def test_of_too_much_the_torque_goes_first_and_the_force_is_scaled_towards_hover(change):
     wanted = WEIGHT + change * [1e3, 1e3, 1e3, 0.5, 0.5, 0.5]
-    speeds, saturated = speeds_for(wanted)
+    speeds, limited = speeds_for(wanted)
     given_more, asked_more = VEHICLE.allocation @ speeds**2 - WEIGHT, wanted - WEIGHT
 
-    assert saturated
+    assert limited == (True, False)
     assert speeds.min() > VEHICLE.min_rotor_speed_hz - 1e-9
     assert speeds.max() < VEHICLE.max_rotor_speed_hz + 1e-9
     assert given_more[3:] == pytest.approx(asked_more[3:], abs=1e-9)
@@ -68,10 +71,10 @@ def test_of_too_much_the_torque_goes_first_and_the_force_is_scaled_towards_hover
 
 @given(changes.filter(lambda change: np.abs(change[3:]).max() > 0.1))
 def test_too_much_torque_is_scaled_and_leaves_rotors_within_limits(change):
-    speeds, saturated = speeds_for(WEIGHT + 1e3 * change)
+    speeds, limited = speeds_for(WEIGHT + 1e3 * change)
     turned, asked = (VEHICLE.allocation @ speeds**2 - WEIGHT)[3:], 1e3 * change[3:]
 
-    assert saturated
+    assert limited[1]
     assert speeds.min() > VEHICLE.min_rotor_speed_hz - 1e-9
     assert speeds.max() < VEHICLE.max_rotor_speed_hz + 1e-9
     assert turned == pytest.approx((turned @ asked) / (asked @ asked) * asked, abs=1e-9)

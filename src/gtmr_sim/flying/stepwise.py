@@ -43,7 +43,8 @@ class StepController(Protocol):
         `gtmr_sim.flying.native.NativeStep`, or None: then the whole flight is one call in C.
 
         In a world whose odometry is late, t is the stamp of what was measured, and a ``step`` that
-        takes ``now`` is also told the time from which its plan is played [s].
+        takes ``now`` is also told the time from which its plan is played [s]; accelerations alone,
+        from one that does not, are held from the moment at which it is asked.
 
         For oracles alone, which show what no controller can do better: one that has a method
         ``see_truth(simulation)`` is handed the `Simulation` before its first step, to look at.
@@ -101,7 +102,10 @@ def fly_stepwise(
                     f"first step {taken[0].told}"
                 )
             taken.append(step)
-            simulation.command(now_s, step.u_plan, step.setpoints_hz)
+            # From the stamp of a late state on, a single row would be over before it arrives.
+            held = len(step.u_plan) == 1 and not tells_now
+            acts_s = simulation.time_s if held else now_s
+            simulation.command(acts_s, step.u_plan, step.setpoints_hz)
         gusts.append(simulation.gust_n)
         winds.append(simulation.wind_n)
         simulation.advance(sampling_time_s)

@@ -18,8 +18,9 @@ from importlib.resources import files
 from gtmr_codegen.library import load_library
 
 WRITTEN = ("gtmr_loop.c", "gtmr_flight.c")
-FLAGS = dict.fromkeys(WRITTEN, ("-O2", "-ffp-contract=off"))
-"""Of the compiler; nothing is fused, so that results are those of NumPy."""
+FLAGS = dict.fromkeys(WRITTEN, ("-O2", "-ffp-contract=off", "-fno-builtin-pow"))
+"""Of the compiler; nothing is fused, and a power is the library's, so that results are those of
+Python."""
 
 
 class CAhead(ctypes.Structure):

@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 import math
+from fractions import Fraction
 from typing import Annotated, Any
 
 import casadi as ca
@@ -91,9 +92,7 @@ def around_tower(wind: Wind, far: Array, position: Array, tower: Tower) -> Array
     along = np.array([far[0], far[1], 0.0]) / speed
     across = np.array([-along[1], along[0], 0.0])
     # In tower radii; inside the tower as on its surface.
-    # Sums in this order everywhere, as in the compiled loop.
-    x = (along[0] * position[0] + along[1] * position[1]) / tower.radius_m
-    y = (across[0] * position[0] + across[1] * position[1]) / tower.radius_m
+    x, y = (_product(axis, position) / tower.radius_m for axis in (along, across))
     r = math.hypot(x, y)
     if r < 1.0:
         x, y, r = (x / r, y / r, 1.0) if r > 0.0 else (-1.0, 0.0, 1.0)
@@ -106,6 +105,17 @@ def around_tower(wind: Wind, far: Array, position: Array, tower: Tower) -> Array
     return flow
 
 
+def _product(a: Array, b: Array) -> float:
+    """Horizontal part of the scalar product, its second term not rounded on its own.
+
+    So do processors with fused operations, and the compiled loop.
+    """
+    a_x, a_y, b_x, b_y = map(float, (*a[:2], *b[:2]))
+    if not math.isfinite(a_x * b_x + a_y * b_y):
+        return math.nan
+    return float(Fraction(a_y) * Fraction(b_y) + Fraction(a_x * b_x))
+
+
 def wake_deficit(drag_coefficient: float, x: float, y: float) -> float:
     """Share of the wind that is missing behind a tower (Powles 1983) [-].
 
@@ -114,8 +124,7 @@ def wake_deficit(drag_coefficient: float, x: float, y: float) -> float:
     width = (x * x + y * y) ** 0.25
     if x <= 0.0 or abs(y) >= width:
         return 0.0
-    cosine = math.cos(0.5 * math.pi * y / width)
-    return min(1.0, drag_coefficient / width * (cosine * cosine))
+    return min(1.0, drag_coefficient / width * math.cos(0.5 * math.pi * y / width) ** 2)
 
 
 class WindField:

@@ -30,7 +30,7 @@ MOST_RMS_MM = 2000.0
 """What tracks worse is lost, and not drawn [mm]."""
 LEAST_CLEARANCE_M = -0.1
 """What comes closer went far into the tower, and is not drawn [m]."""
-HEIGHT_PX = 440
+HEIGHT_PX, ROW_PX = 440, 20
 X_TITLE = "radial tracking error, RMS after 5 s [mm]"
 Standing = Literal["flown", "off", "violated", "errors"]
 
@@ -38,6 +38,8 @@ Standing = Literal["flown", "off", "violated", "errors"]
 class Sign(NamedTuple):
     """How a point is marked, besides its colour."""
 
+    shape: str
+    """What it looks like."""
     says: str
     """What it means."""
     paper: str
@@ -49,10 +51,10 @@ class Sign(NamedTuple):
 
 
 SIGNS: dict[Standing, Sign] = {
-    "flown": Sign("no violation, at d_ref", "o", "circle", True),
-    "off": Sign("no violation, but not at d_ref", "o", "circle-open", False),
-    "violated": Sign("violation in some trial", "x", "x-thin-open", True),
-    "errors": Sign("some flights in error", "v", "triangle-down-open", False),
+    "flown": Sign("full circle", "no violation, at d_ref", "o", "circle", True),
+    "off": Sign("open circle", "no violation, but not at d_ref", "o", "circle-open", False),
+    "violated": Sign("cross", "violation in some trial", "x", "x-thin-open", True),
+    "errors": Sign("triangle", "some flights in error", "v", "triangle-down-open", False),
 }
 DASHES: tuple[tuple[look.Dash, str], ...] = (("solid", "-"), ("dash", "--"), ("dot", ":"))
 """Lines as plotly and as matplotlib call them."""
@@ -140,8 +142,10 @@ def write_figure(results: Sequence[Result], d_min_m: float, folder: Path) -> lis
 
 def in_browser(results: Sequence[Result], world: str, d_min_m: float) -> Chart:
     """Draw a panel of it; each point knows its cell."""
-    figure = plot(HEIGHT_PX, X_TITLE, "least clearance of any trial [m]", hovermode="closest")
     shown = curves(results, world)
+    # The legend takes a row for some four of them.
+    height_px = HEIGHT_PX + ROW_PX * (len(shown) // 4)
+    figure = plot(height_px, X_TITLE, "least clearance of any trial [m]", hovermode="closest")
     drawn = [cell for cells in shown.values() for cell in cells]
     for number, (controller, cells) in enumerate(shown.items()):
         colour = themed(controller_key(controller))

@@ -26,9 +26,9 @@ from gtmr_study.arena.charts import SIGNS, in_browser, name_of, trials_in_browse
 from gtmr_study.arena.plan import Arena, Cell
 from gtmr_study.arena.run import ARENA, read_flights
 from gtmr_study.arena.table import (
-    BEYOND_KNOWLEDGE,
+    ENOUGH_TRIALS,
     Result,
-    choice,
+    candidates,
     closest,
     is_flown,
     results_of,
@@ -66,12 +66,13 @@ def _body(arena: Arena, results: list[Result], rows: pd.DataFrame, worst: Worst)
     script = files("gtmr_study.arena").joinpath("arena.js").read_text(encoding="utf-8")
     trials = [_trials(results, rows, worst, world) for world in worlds]
     data = json.dumps(trials, separators=(",", ":")).replace("<", r"\u003c")
-    signs = "; ".join(f"{sign.browser.split('-')[0]}: {sign.says}" for sign in SIGNS.values())
+    signs = "; ".join(f"{sign.shape}: {sign.says}" for sign in SIGNS.values())
     return f"""<p>{_conditions(arena)}</p>
 {cards(_card(results, world) for world in worlds)}
 <p>A controller really flies a distance d<sub>ref</sub> if none of its trials violates the
 clearance at any step of the plant or is in error, and its mean d<sub>T</sub> is within 20&nbsp;mm
-of d<sub>ref</sub>. The smallest such distance decides, then the tracking error. In the charts up
+of d<sub>ref</sub>. The smallest such distance decides, then the tracking error; who flew too few
+trials to tell, fewer than {ENOUGH_TRIALS} where others flew more, is not taken. In the charts up
 is safe and left is precise; each curve is one controller from the closest reference to the
 farthest one. Signs: {escape(signs)}.</p>
 {"".join(_section(arena, results, k, worst) for k in range(len(worlds)))}
@@ -93,13 +94,12 @@ def _conditions(arena: Arena) -> str:
 
 
 def _card(results: list[Result], world: str) -> Card:
-    best = choice(results, world)
-    if best is None:
+    taken = candidates(results, world)
+    if not taken:
         return Card(f"World {world}", "nobody", verdict(False, "none really flies any distance"))
+    best, *next_ones = taken
     others = [
-        f"{escape(name)} from {other['d_ref_m']:.2f}&nbsp;m"
-        for name, other in closest(results, world).items()
-        if other is not None and name not in (best["controller"], *BEYOND_KNOWLEDGE)
+        f"{escape(other['controller'])} from {other['d_ref_m']:.2f}&nbsp;m" for other in next_ones
     ]
     high = 100.0 * best["violations_95"][1]
     said = f"0 of {best['trials']} violate"
@@ -217,6 +217,6 @@ def _trials(results: list[Result], rows: pd.DataFrame, worst: Worst, world: str)
                 for f in worst[cell]
             ],
         }  # fmt: skip
-    best = choice(results, world)
-    first = name_of(best) if best is not None else next(iter(cells), "")
+    taken = candidates(results, world)
+    first = name_of(taken[0]) if taken else next(iter(cells), "")
     return {"cells": cells, "first": first}

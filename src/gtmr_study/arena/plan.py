@@ -78,7 +78,7 @@ class Arena(YamlModel):
     """With the number of a trial it gives the trial's own seed, as in a campaign."""
     duration_s: float = Field(20.0, ge=0.025, le=3600.0)
     """Length of a flight [s]."""
-    step_budget_ms: float = Field(250.0, gt=0.0)
+    step_budget_ms: float = Field(500.0, gt=0.0)
     """What the steps of a flight may take on average [ms]; beyond that it is stopped."""
     patience_s: float = Field(5.0, gt=0.0)
     """What a flight may take at least after its first step, whatever its steps take [s]."""

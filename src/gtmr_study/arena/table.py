@@ -25,6 +25,8 @@ FLIES_WITHIN_M = 0.02
 """How far the mean d_T may be from d_ref for a controller to really fly it [m]."""
 BEYOND_KNOWLEDGE = ("oracle",)
 """Controllers that know what nobody can know: they show the limit, and are never the choice."""
+ENOUGH_TRIALS = 35
+"""Without a violation in so many trials their rate is below 10 % with 95 % confidence."""
 
 Result = dict[str, Any]
 
@@ -128,13 +130,16 @@ def _place(result: Result | None) -> tuple[float, float]:
     return result["d_ref_m"], math.inf if rms_m is None else rms_m
 
 
-def choice(results: Sequence[Result], world: str) -> Result | None:
-    """Choose whom to take in a world: who flies closest, then who tracks best; None if nobody."""
-    return next(
-        (
-            best
-            for controller, best in closest(results, world).items()
-            if best is not None and controller not in BEYOND_KNOWLEDGE
-        ),
-        None,
-    )
+def candidates(results: Sequence[Result], world: str) -> list[Result]:
+    """List whom one can take in a world: who flies closest first, then who tracks best.
+
+    Whoever flew fewer than `ENOUGH_TRIALS`, where others flew more, is left out.
+    """
+    most = max((result["trials"] for result in results if result["world"] == world), default=0)
+    return [
+        best
+        for controller, best in closest(results, world).items()
+        if best is not None
+        and controller not in BEYOND_KNOWLEDGE
+        and best["trials"] >= min(ENOUGH_TRIALS, most)
+    ]

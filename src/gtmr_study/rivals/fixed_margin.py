@@ -15,16 +15,21 @@ for each world, so that tracking and margin are traded by the same search as tho
 rival. Where it breaks: the number is right for the flights it was tuned on, and tells nothing of
 others: with a mismatch that grows, or a wind from elsewhere, it is too small where it matters and
 too large everywhere else. Its friends say that a margin of a few centimetres does what a formula
-does at no cost; so it is tuned close to the constraint as well, where the formula's margins act.
+does at no cost, on the state of a good filter; so it is tuned close to the constraint as well,
+where the formula's margins act, and gets the state of the suite's Kalman filter, of whose
+estimated disturbance it makes no use.
 """
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field
 
-from gtmr_nmpc import Controller, ControllerConfig
+from gtmr_nmpc import Controller, ControllerConfig, Solution
 from gtmr_nmpc.config import Weights
 from gtmr_nmpc.margins import FixedMargin
+from gtmr_study.rivals.feedback.present import Present
 from gtmr_study.rivals.tuning import Parameters, Tuned
 
 
@@ -33,9 +38,9 @@ class FixedMarginParameters(Parameters):
 
     margin_m: float = Field(0.02, ge=0.001, le=0.15)
     """By how much every stage is tightened [m]."""
-    position_scale: float = Field(3.0, ge=0.3, le=60.0)
+    position_scale: float = Field(20.0, ge=0.5, le=100.0)
     """Factor of the paper's weights on position, at the end of the horizon too [-]."""
-    rotor_acceleration: float = Field(3e-5, ge=3e-7, le=1e-3)
+    rotor_acceleration: float = Field(2e-6, ge=1e-7, le=1e-3)
     """Q_u [(Hz/s)^-2]."""
 
 
@@ -48,12 +53,24 @@ def weights(base: Weights, position_scale: float, rotor_acceleration: float) -> 
     return base.model_copy(update={**scaled, "rotor_acceleration": rotor_acceleration})
 
 
-def make(config: ControllerConfig, parameters: FixedMarginParameters) -> Controller:
-    """Make it for one flight."""
-    cost = weights(config.weights, parameters.position_scale, parameters.rotor_acceleration)
-    margin = FixedMargin(margin_m=parameters.margin_m)
-    return Controller(config.model_copy(update={"weights": cost, "margin": margin}), "robust")
+class FixedMarginNmpc:
+    """The controller of one flight."""
+
+    def __init__(self, config: ControllerConfig, parameters: FixedMarginParameters) -> None:
+        cost = weights(config.weights, parameters.position_scale, parameters.rotor_acceleration)
+        margin = FixedMargin(margin_m=parameters.margin_m)
+        self.config = config.model_copy(update={"weights": cost, "margin": margin})
+        self._present = Present(config)
+        self._controller = Controller(self.config, "robust")
+
+    def step(self, t: float, x: ArrayLike, now: float | None = None) -> Solution:
+        """Plan from the state x measured at t [s], for rotors that answer from ``now`` [s]."""
+        now = t if now is None else now
+        state, _ = self._present.estimate(t, np.array(x, dtype=float), now)
+        solution = self._controller.step(now, state)
+        self._present.send(t, state, now, solution.u)
+        return solution
 
 
-FIXED_MARGIN = Tuned("fixed_margin", FixedMarginParameters, make, constrained=True)
+FIXED_MARGIN = Tuned("fixed_margin", FixedMarginParameters, FixedMarginNmpc, constrained=True)
 """Nominal NMPC with a constant margin."""

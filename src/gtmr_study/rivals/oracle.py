@@ -32,6 +32,7 @@ from gtmr_model import N_ZETA, dynamics
 from gtmr_model.dynamics import RATE, ROTORS, VELOCITY
 from gtmr_nmpc import Controller, ControllerConfig, Solution
 from gtmr_nmpc.controller import fastest_iteration
+from gtmr_nmpc.iteration import Iteration
 from gtmr_nmpc.margins import FixedMargin
 from gtmr_nmpc.observer import BIAS, GUST, N_THETA, TORQUE, Estimate, InterpretedObserver
 from gtmr_sim.simulation import Simulation
@@ -79,6 +80,21 @@ class Truth(InterpretedObserver):
         return Estimate(plant.x.copy(), theta.copy())
 
 
+class Seeing:
+    """An iteration with another observer; another class too, so that no step in C has its own."""
+
+    def __init__(self, iteration: Iteration, truth: Truth) -> None:
+        self._iteration, self._truth = iteration, truth
+
+    def __getattr__(self, name: str) -> Any:
+        """Be the iteration in all else."""
+        return getattr(self._iteration, name)
+
+    def observer(self) -> Truth:
+        """Give what looks."""
+        return self._truth
+
+
 class Oracle:
     """The controller of one flight."""
 
@@ -88,9 +104,8 @@ class Oracle:
         offset_free = config.offset_free.model_copy(update=own)
         self.config = config.model_copy(update={"offset_free": offset_free})
         self._truth = Truth(self.config)
-        iteration = fastest_iteration(self.config)
-        iteration.observer = lambda: self._truth  # type: ignore[method-assign]
-        self._controller = Controller(self.config, "offset_free", iteration)
+        seeing: Any = Seeing(fastest_iteration(self.config), self._truth)
+        self._controller = Controller(self.config, "offset_free", seeing)
 
     def see_truth(self, simulation: Simulation) -> None:
         """Take the flight to look at, before its first step."""

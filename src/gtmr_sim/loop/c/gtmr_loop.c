@@ -70,11 +70,10 @@ static int draw_gust(gtmr_loop *l)
 /* Share of the wind that is missing behind a tower. */
 static double wake_deficit(double drag_coefficient, double x, double y)
 {
-    double width = pow(x * x + y * y, 0.25), cosine, deficit;
+    double width = pow(x * x + y * y, 0.25), deficit;
     if (x <= 0.0 || fabs(y) >= width)
         return 0.0;
-    cosine = cos(0.5 * PI * y / width);
-    deficit = drag_coefficient / width * (cosine * cosine);
+    deficit = drag_coefficient / width * pow(cos(0.5 * PI * y / width), 2.0);
     return deficit < 1.0 ? deficit : 1.0;
 }
 
@@ -86,8 +85,8 @@ static void around_tower(const gtmr_loop *l, const double *far, double *flow)
     if (speed == 0.0 || !(l->flow_around_tower || l->wake))
         return;
     along[0] = far[0] / speed, along[1] = far[1] / speed;
-    x = (along[0] * l->x[0] + along[1] * l->x[1]) / l->tower_radius_m;
-    y = (-along[1] * l->x[0] + along[0] * l->x[1]) / l->tower_radius_m;
+    x = fma(along[1], l->x[1], along[0] * l->x[0]) / l->tower_radius_m;
+    y = fma(along[0], l->x[1], -along[1] * l->x[0]) / l->tower_radius_m;
     r = length(x, y);
     if (r < 1.0) {
         x = r > 0.0 ? x / r : -1.0;

@@ -12,9 +12,10 @@ Position and velocity errors ask for an acceleration, attitude and rate errors f
 acceleration (attitude on SO(3): Lee, Leok, McClamroch, CDC 2010); the vehicle's own allocation
 matrix turns force and torque into rotor speeds, and a first-order loop into rotor accelerations.
 It assumes nothing but mass, inertia and allocation, and that what is wrong with them changes
-slowly: the integrals must find it. They are bounded, and wait while a rotor is at its limit. Its
-bandwidths, damping and integral time are tuned for each world; nearly all the time of a step is
-Python. It breaks under gusts, which an integral follows late, and near the wall, since it knows
+slowly: the integrals must find it. They are bounded, and each waits while rotors at their limits
+cannot give what it asks for. Bandwidths, damping and integral time are tuned for each world;
+nearly all the time of a step is Python.
+It breaks under gusts, which an integral follows late, and near the wall, since it knows
 no constraint. Its friends say that nearly everything that flies today flies on it, on the state of
 a good filter; so it has that of the suite's Kalman filter, of whose estimated disturbance it makes
 no use, the reference's velocity, acceleration and yaw rate as feed-forward, and the same
@@ -88,9 +89,10 @@ class Pid:
 
         wrench = np.concatenate((actual.T @ force, torque))
         u = self._wrench.rotor_accelerations(wrench, state[ROTORS])
-        if not self._wrench.is_saturated:
-            growth = np.concatenate((kp * far, k_r * off)) * dt_s / by.integral_s
-            self._integrals = np.clip(self._integrals + growth, -MAX_INTEGRAL, MAX_INTEGRAL)
+        growth = np.concatenate((kp * far, k_r * off)) * dt_s / by.integral_s
+        growth[:3] *= not self._wrench.force_is_limited
+        growth[3:] *= not self._wrench.torque_is_limited
+        self._integrals = np.clip(self._integrals + growth, -MAX_INTEGRAL, MAX_INTEGRAL)
         return self._present.send(t, state, now, u)
 
 

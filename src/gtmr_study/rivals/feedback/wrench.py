@@ -59,8 +59,8 @@ class Wrench:
         self._low = vehicle.min_rotor_speed_hz**2
         self._high = vehicle.max_rotor_speed_hz**2
         self._is_fully_actuated = np.linalg.matrix_rank(self._inverse) == 6
-        self.is_saturated = False
-        """Whether the last wrench was more than the rotors can give."""
+        self.force_is_limited = self.torque_is_limited = False
+        """Whether the last wrench had more force, or torque, than the rotors can give."""
 
     def attitude_for(self, force: Array, yaw: float) -> Array:
         """Rotation in which the vehicle can give a force, world frame [N], facing ``yaw`` [rad].
@@ -91,7 +91,7 @@ class Wrench:
         share = self._share(self._hover, turning)
         squared = self._hover + share * turning
         share_of_force = self._share(squared, pushing)
-        self.is_saturated = min(share, share_of_force) < 1.0
+        self.torque_is_limited, self.force_is_limited = share < 1.0, share_of_force < 1.0
         squared = squared + share_of_force * pushing
         return np.asarray((np.sqrt(np.maximum(squared, 0.0)) - speeds_hz) / ROTOR_LOOP_S)
 
