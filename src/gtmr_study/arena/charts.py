@@ -163,7 +163,7 @@ def in_browser(results: Sequence[Result], world: str, d_min_m: float) -> Chart:
     figure.add_annotation(
         x=0.0, y=d_min_m, xref="x domain", yref="y", text="d<sub>min</sub>, violated below",
         showarrow=False, xanchor="left", yanchor="top", xshift=4,
-        font={"size": 12, "color": themed("quiet")}, bgcolor=themed("page"), opacity=0.85,
+        font={"size": 12, "color": themed("quiet")},
     )  # fmt: skip
     figure.update_xaxes(type="log", dtick="D2", range=_decades(drawn))
     lost = [
@@ -197,7 +197,9 @@ def trials_in_browser(world: str, d_min_m: float) -> Chart:
 
 def name_of(result: Result) -> str:
     """Name a cell within its world, for the page's script."""
-    return f"{result['controller']} at {result['d_ref_m']:.3g} m"
+    d_ref_m = result["d_ref_m"]
+    distance = f"{d_ref_m:.2f}" if d_ref_m == round(d_ref_m, 2) else f"{d_ref_m:g}"
+    return f"{result['controller']} at {distance} m"
 
 
 def _decades(drawn: Sequence[Result]) -> tuple[float, float]:

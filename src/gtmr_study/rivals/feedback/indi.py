@@ -16,7 +16,8 @@ synchronous. It assumes that what disturbs now will go on for a moment, and of t
 inertia and allocation: mismatch, wind and wall need no name. Its bandwidths and its filter are
 tuned for each world; nearly all the time of a step is Python. It breaks where accelerations
 cannot be measured: differences of a velocity with 5 cm/s of noise at 40 Hz are 2.8 m/s^2 of noise,
-so that the filter must be slow and gusts pass. It knows no constraint. Its friends say that it
+so that the filter must be slow and gusts pass; and at the start of a flight, when all that
+disturbs is new, it comes closest to the tower. It knows no constraint. Its friends say that it
 needs a good accelerometer at 500 Hz and more; there is none in these worlds, for nobody, so it
 gets the filter that suits them best, and its outer loop the state of the suite's Kalman filter,
 brought up to now, of whose estimated disturbance it makes no use.

@@ -21,11 +21,11 @@ class CostParameters(Parameters):
 
     position_scale: float = Field(10.0, ge=0.5, le=100.0)
     """Factor of the paper's weights on position, at the end of the horizon too [-]."""
-    velocity_scale: float = Field(2.0, ge=0.1, le=20.0)
+    velocity_scale: float = Field(2.0, ge=0.2, le=20.0)
     """Factor of the paper's weights on velocity [-]."""
     acceleration_scale: float = Field(0.3, ge=0.01, le=3.0)
     """Factor of the paper's weights on acceleration [-]."""
-    rotor_acceleration: float = Field(3e-6, ge=1e-7, le=1e-4)
+    rotor_acceleration: float = Field(3e-6, ge=3e-7, le=1e-4)
     """Q_u [(Hz/s)^-2]."""
 
     def weigh(self, config: ControllerConfig) -> ControllerConfig:
