@@ -72,7 +72,7 @@ class Arena(YamlModel):
     """Where they fly."""
     d_ref_m: tuple[float, ...] = Field(DISTANCES_M, min_length=1)
     """Distances of the reference from the tower's surface [m]."""
-    trials: int = Field(100, ge=1, le=100_000)
+    trials: int = Field(200, ge=1, le=100_000)
     """Flights of a cell; of controllers whose step takes long it is their share of it."""
     seed: int = Field(0, ge=0)
     """With the number of a trial it gives the trial's own seed, as in a campaign."""

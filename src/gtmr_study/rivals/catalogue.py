@@ -41,6 +41,10 @@ class Rival:
     """Share of the trials that it flies [-]: less for those whose step takes long."""
 
 
+IN_PYTHON, SLOW, SLOWEST = 0.2, 0.04, 0.01
+"""Shares of those whose step is in Python, or takes half a millisecond, or ten."""
+
+
 def _mode(mode: Mode) -> Maker:
     return lambda config, _: Controller(config, mode)
 
@@ -63,18 +67,22 @@ FAMILIES: dict[Mode, str] = {
 }
 
 RIVALS: dict[str, Rival] = {
-    "lqr": Rival("LQR about hover with a disturbance observer", LQR),
-    "pid": Rival("cascade of PIDs, geometric attitude control", PID),
-    "indi": Rival("incremental inversion on filtered accelerations", INDI),
+    "lqr": Rival("LQR about hover with a disturbance observer", LQR, trials=IN_PYTHON),
+    "pid": Rival("cascade of PIDs, geometric attitude control", PID, trials=IN_PYTHON),
+    "indi": Rival("incremental inversion on filtered accelerations", INDI, trials=IN_PYTHON),
     **{mode: Rival(FAMILIES[mode], _mode(mode)) for mode in MODES},
-    "fixed_margin": Rival("nominal NMPC with a constant margin", FIXED_MARGIN),
+    "fixed_margin": Rival("nominal NMPC with a constant margin", FIXED_MARGIN, trials=IN_PYTHON),
     "robust_gradient": Rival("the paper's, its margins in the QP with gradient", _with_gradient),
-    "ellipsoid": Rival("NMPC with ellipsoids along its plan (zoRO)", ELLIPSOID, trials=0.2),
+    "ellipsoid": Rival("NMPC with ellipsoids along its plan (zoRO)", ELLIPSOID, trials=SLOW),
     "ellipsoid_feedback": Rival(
-        "the same with feedback in its tube", ELLIPSOID_FEEDBACK, trials=0.2
+        "the same with feedback in its tube", ELLIPSOID_FEEDBACK, trials=SLOW
     ),
-    "tube": Rival("plan of the nominal vehicle and feedback in a rigid tube", TUBE),
-    "scenario_tree": Rival("multi-stage NMPC over winds in and out", SCENARIO_TREE, trials=0.02),
-    "oracle": Rival("NMPC that knows all but the future: the limit", ORACLE),
+    "tube": Rival(
+        "plan of the nominal vehicle and feedback in a rigid tube", TUBE, trials=IN_PYTHON
+    ),
+    "scenario_tree": Rival(
+        "multi-stage NMPC over winds in and out", SCENARIO_TREE, trials=SLOWEST
+    ),
+    "oracle": Rival("NMPC that knows all but the future: the limit", ORACLE, trials=IN_PYTHON),
 }
 """Every controller of the arena."""
