@@ -66,7 +66,7 @@ def arena_command(
     ] = None,
     trials: Annotated[
         int | None,
-        option("N", "Flights of 20 s a cell; fewer of controllers that are slow.", "100", min=1),
+        option("N", "Flights of 20 s a cell; fewer of controllers that are slow.", "200", min=1),
     ] = None,
     seed: Annotated[int, option("K", "Seed of the trials.", "0")] = 0,
     quick: Annotated[
