@@ -23,6 +23,10 @@ from gtmr_model.vehicle import GRAVITY_M_S2
 Array = NDArray[np.float64]
 
 
+MAX_DELAY_S = 0.2
+"""Delay and lag beyond which the guard slows no further [s]."""
+
+
 class GuardConfig(YamlModel):
     """Limits, times and gains of the guard; docs/guard.md says how they were chosen."""
 
@@ -55,7 +59,7 @@ class GuardConfig(YamlModel):
     brake_m_s2: float = Field(2.0, gt=0.0)
     """Deceleration that it is sure of then [m/s^2]. It takes charge of a vehicle that these two
     would bring to a stop closer to the tower than ``zone_ratio`` allows."""
-    delay_s: float = Field(0.0, ge=0.0, le=0.2)
+    delay_s: float = Field(0.0, ge=0.0, le=MAX_DELAY_S)
     """Delay of measurements and lag of motors together, for which it slows its gains [s]."""
     handback_s: float = Field(0.1, gt=0.0)
     """How long all conditions must hold before the controller flies again [s]."""
@@ -75,6 +79,21 @@ class GuardConfig(YamlModel):
     """Angular acceleration asked for per rate error [1/s]."""
     rotor_gain: float = Field(40.0, gt=0.0)
     """Rotor acceleration asked for per rotor speed error [1/s]."""
+
+    @classmethod
+    def told(cls, plan_step_s: float, delay_s: float, lag_s: float) -> GuardConfig:
+        """Set it up for a loop: time between plans, age of measurements, motor lag [s].
+
+        A controller that plans seldom may miss two plans as well, and late measurements make plans
+        late.
+        """
+        usual = cls()
+        return cls(
+            patience_s=usual.patience_s + delay_s,
+            max_plan_age_s=max(usual.max_plan_age_s, 3.0 * plan_step_s) + delay_s,
+            fresh_s=max(usual.fresh_s, 2.0 * plan_step_s) + delay_s,
+            delay_s=min(delay_s + lag_s, MAX_DELAY_S),
+        )
 
 
 CAUSES = ("", "command unusable", "plan ended", "tilt", "speed", "zone")

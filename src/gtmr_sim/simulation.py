@@ -36,8 +36,6 @@ GUARD_PERIOD_S = 0.005
 """Longest time between two of its steps while it is in charge itself [s]."""
 WARM_UP_S = 1.0
 """How long the guard observes a vehicle before its flight, if odometry has noise [s]."""
-MAX_GUARD_DELAY_S = 0.2
-"""Delay beyond which the guard slows no further [s]."""
 
 
 class Simulation:
@@ -63,15 +61,7 @@ class Simulation:
             self._sample = self._steps("the period of rate_hz", 1.0 / odometry.rate_hz)
         self._guard = None
         if scenario.guard == "retreat":
-            # A controller that plans seldom may miss two plans as well, and late measurements make
-            # plans late.
-            usual, late_s = GuardConfig(), odometry.delay_s
-            config = GuardConfig(
-                patience_s=usual.patience_s + late_s,
-                max_plan_age_s=max(usual.max_plan_age_s, 3.0 * plan_step_s) + late_s,
-                fresh_s=max(usual.fresh_s, 2.0 * plan_step_s) + late_s,
-                delay_s=min(late_s + scenario.world.lag_s, MAX_GUARD_DELAY_S),
-            )
+            config = GuardConfig.told(plan_step_s, odometry.delay_s, scenario.world.lag_s)
             self._guard = Guard(scenario.vehicle, scenario.tower, config)
         self.reset()
 

@@ -8,6 +8,7 @@
 
 """The exported C controller and guard: pedantic C99, and the same commands as from Python."""
 
+import re
 import resource
 import shutil
 import subprocess
@@ -17,6 +18,7 @@ import pytest
 
 from gtmr_model import Vehicle
 from gtmr_nmpc import ControllerConfig
+from gtmr_study.export.guard import guard_files
 from gtmr_study.export.project import export_c
 
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
@@ -73,6 +75,19 @@ def test_exported_controller_builds_strictly_and_repeats_the_flight(
     )
     export_c(config, mode, tmp_path)
     assert_repeats_the_flight(tmp_path, build(tmp_path, *flags))
+
+
+def test_exported_guard_is_as_slow_as_the_delay_and_lag_of_the_loop():
+    def number(config, name):
+        header = guard_files(config)["guard_parameters.h"]
+        return float(re.search(rf"/\* {name} \*/ ([-.e0-9]+)", header)[1])
+
+    late = ControllerConfig(delay_s=0.03, motor_lag_s=0.03)
+    for name in ("rate_gain", "velocity_gain", "attitude_filter_rad_s"):
+        assert number(late, name) == pytest.approx(0.5 * number(ControllerConfig(), name))
+    assert number(late, "patience_s") == pytest.approx(
+        number(ControllerConfig(), "patience_s") + 0.03
+    )
 
 
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="there is no cmake")

@@ -37,8 +37,13 @@ def guard_files(config: ControllerConfig) -> dict[str, str]:
     }
 
 
+def _told(config: ControllerConfig) -> GuardConfig:
+    """Give the guard's settings for the delay and the lag that the controller is told of."""
+    return GuardConfig.told(config.sampling_time_s, config.delay_s, config.motor_lag_s)
+
+
 def _parameters_header(config: ControllerConfig) -> str:
-    values = parameters(config.vehicle, config.tower, GuardConfig())
+    values = parameters(config.vehicle, config.tower, _told(config))
     fields = ",\n".join(
         f"    /* {name} */ {_literal(value)}" for name, value in values._asdict().items()
     )
@@ -71,7 +76,7 @@ def _flight(config: ControllerConfig) -> str:
     vehicle, period_s = config.vehicle, config.sampling_time_s
     zeta = (*(0.0,) * 6, *(0.7 * bound for bound in config.uncertainty.wind_bias_n))
     plant = Plant(vehicle, zeta, config.helix.initial_state(config.tower, vehicle), TICK_S)
-    guard, controller = Guard(vehicle, config.tower), Controller(config)
+    guard, controller = Guard(vehicle, config.tower, _told(config)), Controller(config)
     plan, stamp_s = np.zeros((0, vehicle.n_rotors)), 0.0
     rows = []
     for k in range(round(FLIGHT_S / TICK_S)):
