@@ -163,8 +163,11 @@ class Controller:
         """Give the step as a function in C, for loops in C; steps from here and there may mix.
 
         None where a step is not wholly in C: without a compiler, with a margin other than the
-        paper's and that of the closed loop, and while a switch of the mode takes its time.
+        paper's and that of the closed loop, while a switch of the mode takes its time, and of a
+        derived class or an object with methods of its own, which C would pass over.
         """
+        if type(self) is not Controller or any(name in vars(Controller) for name in vars(self)):
+            return None
         blend = self._next_blend(math.nan)
         if blend is not WHOLLY[self._mode]:
             return None

@@ -231,3 +231,16 @@ def test_a_solution_has_its_fields_alone_and_keeps_them():
         _ = solution.plan
     with pytest.raises(FrozenInstanceError):
         solution.u_plan = None
+
+
+def test_what_comes_between_a_controller_and_its_step_is_not_passed_over():
+    class Between(Controller):
+        def feedback(self, t, x, now=None):
+            return super().feedback(t, x, now)
+
+    replaced = Controller()
+    replaced.feedback = lambda t, x, now=None: None
+
+    assert Controller().native() is not None
+    assert Between().native() is None
+    assert replaced.native() is None

@@ -98,7 +98,7 @@ def largest_acceleration(config: ControllerConfig) -> float:
     return float(config.vehicle.max_rotor_acceleration_hz_s)
 
 
-class Tower(gymnasium.Env[Array32, Array32]):
+class TowerFlight(gymnasium.Env[Array32, Array32]):
     """Follow the helix around the tower, close to it and never closer than d_min.
 
     An action is the acceleration of each rotor as a share of the largest one, -1 to 1, shape
@@ -190,4 +190,4 @@ class Tower(gymnasium.Env[Array32, Array32]):
         return {"trial": self._trial, "zeta": zeta, "clearance_m": self._clearance_m()}
 
 
-gymnasium.register("gtmr/Tower-v0", entry_point="gtmr_study.arena.environment:Tower")
+gymnasium.register("gtmr/Tower-v0", entry_point="gtmr_study.arena.environment:TowerFlight")

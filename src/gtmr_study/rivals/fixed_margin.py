@@ -30,10 +30,10 @@ from gtmr_nmpc import Controller, ControllerConfig, Solution
 from gtmr_nmpc.config import Weights
 from gtmr_nmpc.margins import FixedMargin
 from gtmr_study.rivals.feedback.present import Present
-from gtmr_study.rivals.tuning import Parameters, Tuned
+from gtmr_study.rivals.tuning import RivalParameters, Tuned
 
 
-class FixedMarginParameters(Parameters):
+class FixedMarginParameters(RivalParameters):
     """What a nominal NMPC with a constant margin is tuned by."""
 
     margin_m: float = Field(0.02, ge=0.001, le=0.15)

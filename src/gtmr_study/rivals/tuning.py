@@ -57,7 +57,7 @@ SIGMA, POPULATION = 0.25, 8
 """With which CMA-ES begins, of a number's range on the logarithmic scale, and its population."""
 
 
-class Parameters(YamlModel):
+class RivalParameters(YamlModel):
     """The numbers that a rival is tuned by: 2 to 6 fields, one float each.
 
     A field's bounds, ``ge`` above 0 and ``le``, are the range that is searched, on a logarithmic
@@ -84,7 +84,7 @@ class Parameters(YamlModel):
         return np.asarray((np.log(list(self.model_dump().values())) - low) / (high - low))
 
 
-P = TypeVar("P", bound=Parameters)
+P = TypeVar("P", bound=RivalParameters)
 
 
 class Found(YamlModel):
@@ -95,7 +95,7 @@ class Found(YamlModel):
     flights: int
     """How many were flown to find them."""
     parameters: dict[str, float]
-    """The numbers, by the names and in the units of the rival's `Parameters`."""
+    """The numbers, by the names and in the units of the rival's `RivalParameters`."""
 
 
 class Tuning(YamlModel):

@@ -33,14 +33,14 @@ from pydantic import Field
 
 from gtmr_model.dynamics import ATTITUDE, POSITION, RATE, ROTORS, VELOCITY
 from gtmr_nmpc import ControllerConfig
-from gtmr_study.rivals.feedback.present import Command, Present
+from gtmr_study.rivals.feedback.present import OneStepPlan, Present
 from gtmr_study.rivals.feedback.wrench import Wrench, attitude_error, rotation_of
-from gtmr_study.rivals.tuning import Parameters, Tuned
+from gtmr_study.rivals.tuning import RivalParameters, Tuned
 
 Array = NDArray[np.float64]
 
 
-class IndiParameters(Parameters):
+class IndiParameters(RivalParameters):
     """What the incremental inversion is tuned by."""
 
     position_rad_s: float = Field(3.0, ge=0.8, le=12.0)
@@ -87,7 +87,7 @@ class Indi:
         self._before: tuple[float, Array, Array] | None = None
         self._filtered = np.zeros((4, 3))
 
-    def step(self, t: float, x: ArrayLike, now: float | None = None) -> Command:
+    def step(self, t: float, x: ArrayLike, now: float | None = None) -> OneStepPlan:
         """Decide from the state x measured at t [s], for rotors that answer from ``now`` [s]."""
         now = t if now is None else now
         measured = np.array(x, dtype=float)

@@ -33,8 +33,8 @@ from gtmr_model.dynamics import ATTITUDE, POSITION, RATE, ROTORS, VELOCITY, YAW
 from gtmr_model.vehicle import GRAVITY_M_S2
 from gtmr_nmpc import ControllerConfig
 from gtmr_nmpc.observer import BIAS, GUST, TORQUE
-from gtmr_study.rivals.feedback.present import Command, Present
-from gtmr_study.rivals.tuning import Parameters, Tuned
+from gtmr_study.rivals.feedback.present import OneStepPlan, Present
+from gtmr_study.rivals.tuning import RivalParameters, Tuned
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ DIGITS = 10
 """Kept of the gains: the rest depends on how many threads solve an equation."""
 
 
-class LqrParameters(Parameters):
+class LqrParameters(RivalParameters):
     """What the LQR is tuned by."""
 
     position: float = Field(500.0, ge=10.0, le=2e4)
@@ -79,7 +79,7 @@ class Lqr:
         self._gain = gain(config.vehicle, config.sampling_time_s, parameters)
         self._trim = trim(config.vehicle)
 
-    def step(self, t: float, x: ArrayLike, now: float | None = None) -> Command:
+    def step(self, t: float, x: ArrayLike, now: float | None = None) -> OneStepPlan:
         """Decide from the state x measured at t [s], for rotors that answer from ``now`` [s]."""
         now = t if now is None else now
         state, theta = self._present.estimate(t, np.array(x, dtype=float), now)

@@ -30,9 +30,9 @@ from pydantic import Field
 
 from gtmr_model.dynamics import ATTITUDE, POSITION, RATE, ROTORS, VELOCITY
 from gtmr_nmpc import ControllerConfig
-from gtmr_study.rivals.feedback.present import Command, Present
+from gtmr_study.rivals.feedback.present import OneStepPlan, Present
 from gtmr_study.rivals.feedback.wrench import Wrench, attitude_error, cross, rotation_of
-from gtmr_study.rivals.tuning import Parameters, Tuned
+from gtmr_study.rivals.tuning import RivalParameters, Tuned
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ MAX_INTEGRAL = 4.0
 """Bound on what each integral adds [m/s^2, rad/s^2]: more than the uncertainty set can explain."""
 
 
-class PidParameters(Parameters):
+class PidParameters(RivalParameters):
     """What the cascade is tuned by."""
 
     position_rad_s: float = Field(3.0, ge=0.8, le=12.0)
@@ -62,7 +62,7 @@ class Pid:
         self._integrals = np.zeros(6)
         self._stamp_s: float | None = None
 
-    def step(self, t: float, x: ArrayLike, now: float | None = None) -> Command:
+    def step(self, t: float, x: ArrayLike, now: float | None = None) -> OneStepPlan:
         """Decide from the state x measured at t [s], for rotors that answer from ``now`` [s]."""
         now = t if now is None else now
         state, _ = self._present.estimate(t, np.array(x, dtype=float), now)

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Command:
+class OneStepPlan:
     """What a feedback sends: one sampling time of a plan."""
 
     u_plan: Array
@@ -59,7 +59,7 @@ class Present:
         filtered, theta = self._observer.update(x, dt_s)
         return Estimate(self._sent.ahead(self._observer, filtered, t, now), theta)
 
-    def send(self, t: float, x: Array, now: float, u: Array) -> Command:
+    def send(self, t: float, x: Array, now: float, u: Array) -> OneStepPlan:
         """Command rotor accelerations u [Hz/s], shape (N_p,), at the state of ``now`` [s]."""
         config, vehicle = self._config, self._config.vehicle
         most = vehicle.max_rotor_acceleration_hz_s
@@ -70,4 +70,4 @@ class Present:
         plan = u[None]
         ahead_hz = setpoints(config, speeds, plan)
         self._sent.add(now, t, plan, ahead_hz)
-        return Command(plan, ahead_hz)
+        return OneStepPlan(plan, ahead_hz)

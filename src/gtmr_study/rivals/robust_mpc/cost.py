@@ -13,10 +13,10 @@ from __future__ import annotations
 from pydantic import Field
 
 from gtmr_nmpc import ControllerConfig
-from gtmr_study.rivals.tuning import Parameters
+from gtmr_study.rivals.tuning import RivalParameters
 
 
-class CostParameters(Parameters):
+class CostParameters(RivalParameters):
     """What the families of robust MPC are tuned by: factors of the paper's cost."""
 
     position_scale: float = Field(10.0, ge=0.5, le=100.0)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gtmr_model.dynamics import YAW
 from gtmr_nmpc import ControllerConfig
-from gtmr_study.rivals.feedback.present import Command, Present
+from gtmr_study.rivals.feedback.present import OneStepPlan, Present
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ class Filtered(ABC):
     def plan(self, now: float, x: Array) -> Array:
         """Choose rotor accelerations [Hz/s], shape (N_p,), for state x, shape (12 + N_p,)."""
 
-    def step(self, t: float, x: ArrayLike, now: float | None = None) -> Command:
+    def step(self, t: float, x: ArrayLike, now: float | None = None) -> OneStepPlan:
         """Decide from the state x measured at t [s], for rotors that answer from ``now`` [s]."""
         now = t if now is None else now
         state, _ = self._present.estimate(t, np.array(x, dtype=float), now)
