@@ -337,10 +337,11 @@ class SimNode(SuiteNode):
             self._pace_held = stamps.seconds(session.stamp_ns - then_ns) / (now - then)
         held = self._pace_held
         level, message = Level.OK, "flying"
-        if not session.started:
-            level, message = Level.STALE, f"waiting for {self._missing()}"
-        elif session.paused:
+        if session.paused:
+            # Also before a flight begins: as long as it is paused, it cannot.
             message = "paused"
+        elif not session.started:
+            level, message = Level.STALE, f"waiting for {self._missing()}"
         elif session.over:
             message = "the flight is over"
         elif session.guard_active:

@@ -175,6 +175,23 @@ def test_pause_stops_time_and_reset_repeats_the_flight(graph):
     assert same_state(first[:40], again[:40]) < 1e-9
 
 
+def test_a_simulator_that_is_paused_before_its_flight_says_so_and_flies_when_told_to(graph):
+    graph.listen([topics.DIAGNOSTICS, topics.ODOM])
+
+    def last():
+        return graph.received["/diagnostics"][-1].status[0].message
+
+    sim = graph.start(SIM)
+    graph.wait_until(lambda: graph.received["/diagnostics"] and last().startswith("waiting for"))
+    assert graph.call(SetBool, "sim/pause", SetBool.Request(data=True)).success
+    graph.wait_until(lambda: last() == "paused")
+    assert graph.call(SetBool, "sim/pause", SetBool.Request(data=False)).success
+    graph.wait_until(lambda: last().startswith("waiting for"))
+    graph.received["/diagnostics"].clear()
+    graph.start(NMPC)
+    graph.wait_until(lambda: "flying" in sim.output)
+
+
 def test_the_flight_starts_only_once_a_controller_answers(graph):
     graph.listen([topics.ODOM, topics.ROTOR_STATES])
     graph.start(SIM)
