@@ -38,7 +38,8 @@ class Tower(YamlModel):
         """
         p: Any = position
         if not isinstance(p, ca.SX):
-            p = np.moveaxis(np.asarray(p, dtype=float), -1, 0)
+            p = np.asarray(p, dtype=float)
+            p = p[..., 0], p[..., 1]
         root: Any = ca.sqrt if isinstance(p, ca.SX) else np.sqrt
         return root(p[0] * p[0] + p[1] * p[1]) - self.radius_m
 

@@ -428,7 +428,7 @@ class MonitorNode(SuiteNode):
             values |= {"residual_m": watch.current_m, "worst_residual_m": watch.worst_m}
         what = f"{vehicle.namespace} clearance" if vehicle.namespace else "clearance"
         name, now_ns = f"{diagnostics.source(self)}: {what}", self.get_clock().now().nanoseconds
-        self._status.publish(diagnostics.encode(now_ns, name, level, message, values))
+        self._status.publish(diagnostics.pack(now_ns, name, level, message, values))
 
 
 def _offered(qos: QoSProfile) -> OfferedQos:

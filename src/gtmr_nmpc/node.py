@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from typing import ClassVar
@@ -17,8 +18,6 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from rclpy.clock import Clock as RosClock
-from rclpy.clock_type import ClockType
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
@@ -38,7 +37,7 @@ from gtmr_msgs_py.node.diagnostics import Level
 from gtmr_msgs_py.node.parameters import FrameParameters, ModelParameters
 from gtmr_msgs_py.node.process import PROMPT, run
 from gtmr_msgs_py.node.silence import Silence
-from gtmr_msgs_py.node.suite_node import SuiteNode
+from gtmr_msgs_py.node.suite_node import Chores, SuiteNode
 from gtmr_msgs_py.wire import stamps
 from gtmr_msgs_py.wire.fixed_cdr import stamp_of
 from gtmr_msgs_py.wire.order import StampOrder
@@ -150,9 +149,8 @@ class NmpcNode(SuiteNode):
         """Subscribe to states."""
         config = self._settings.value
         self._reconfigure(config)
-        self.create_timer(
-            DIAGNOSTICS_PERIOD_S, self._diagnose, clock=RosClock(clock_type=ClockType.STEADY_TIME)
-        )
+        self._chores = Chores(self)
+        self._chores.add(DIAGNOSTICS_PERIOD_S, self._diagnose)
         self._silence = Silence(self, "odometry", self._diagnose)
         topics.CLOCK.subscription(self, self._on_clock, topics.NEWEST, raw=True)
         topics.ODOM.subscription(self, self._on_odometry, topics.NEWEST, raw=True)
@@ -240,7 +238,8 @@ class NmpcNode(SuiteNode):
         self._controller.prepare(self._acts_at_s(self._schedule.next_ns))
         if due is Due.RESTART:
             self.tell_parameters()
-        self._publish_scene(stamp_ns, solution)
+        elif not self._publish_scene(stamp_ns, solution):
+            self._chores.do_one()
 
     def _send(self, stamp_ns: int, x: NDArray[np.float64], solution: Solution) -> None:
         """Send the plan, unless it is not fit: then the guard takes charge past the last one."""
@@ -256,6 +255,8 @@ class NmpcNode(SuiteNode):
             solution.u_plan,
         )
         self._rotor_command.publish(self._last_command)
+        # Whoever waits for it on this processor comes first.
+        os.sched_yield()
         if self._withheld:
             self.get_logger().info("commands are sent again")
             self._withheld = ""
@@ -310,7 +311,7 @@ class NmpcNode(SuiteNode):
 
     def _publish_step(self, stamp_ns: int, solution: Solution) -> None:
         self._tightening.publish(
-            tightening.encode(
+            tightening.pack(
                 solution.alpha_p_by_channel,
                 solution.eps_s,
                 solution.tightening.gust,
@@ -320,7 +321,7 @@ class NmpcNode(SuiteNode):
         )
         self._solve_time.publish(solve_time.encode(solution.timing.total_s))
         self._predicted_path.publish(
-            path.encode(
+            path.pack(
                 stamp_ns,
                 self._schedule.period_ns,
                 solution.x_plan[:, POSITION],
@@ -329,14 +330,18 @@ class NmpcNode(SuiteNode):
             )
         )
 
-    def _publish_scene(self, stamp_ns: int, solution: Solution) -> None:
+    def _publish_scene(self, stamp_ns: int, solution: Solution) -> bool:
+        """Publish what is not of every step, if it is time for it and somebody listens.
+
+        Says whether it did; one thing is enough after one step, or the next odometry has to wait.
+        """
         config = self._settings.value
         if self._is_time_for(self._reference, stamp_ns, REFERENCE_PERIOD_S):
             times = stamps.seconds(stamp_ns) + REFERENCE_STEP_S * np.arange(REFERENCE_POSES)
             ahead = config.helix.at(times, config.tower)
             level = np.zeros_like(ahead.yaw)
             self._reference.publish(
-                path.encode(
+                path.pack(
                     stamp_ns,
                     stamps.nanoseconds(REFERENCE_STEP_S),
                     ahead.position,
@@ -344,19 +349,22 @@ class NmpcNode(SuiteNode):
                     config.world_frame,
                 )
             )
+            return True
         if self._is_time_for(self._markers, stamp_ns, MARKERS_PERIOD_S):
             mode, planned = self._controller.mode, solution.x_plan[:, POSITION]
             margins_m = solution.alpha_p + solution.alpha_g
             shells = markers.tightened_shells(config.tower, margins_m, planned[:, 2], mode)
             plan = markers.plan(planned, mode)
             self._markers.publish(markers.encode(stamp_ns, shells + plan, config.world_frame))
+            return True
+        return False
 
     def _is_time_for(self, publisher: Publisher, stamp_ns: int, period_s: float) -> bool:
         last_ns = self._published_ns.get(publisher)
-        due = last_ns is None or not 0 <= stamp_ns - last_ns < stamps.nanoseconds(period_s)
-        if due:
-            self._published_ns[publisher] = stamp_ns
-        return due
+        if last_ns is not None and 0 <= stamp_ns - last_ns < stamps.nanoseconds(period_s):
+            return False
+        self._published_ns[publisher] = stamp_ns
+        return bool(publisher.get_subscription_count())
 
     def _diagnose(self) -> None:
         performance, config = self._performance, self._settings.value
@@ -378,7 +386,7 @@ class NmpcNode(SuiteNode):
             level, message = Level.WARN, "the tightened clearance is violated"
         self._steps_reported = performance.steps
         self._diagnostics.publish(
-            diagnostics.encode(
+            diagnostics.pack(
                 self.get_clock().now().nanoseconds,
                 f"{diagnostics.source(self)}: controller",
                 level,

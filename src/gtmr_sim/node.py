@@ -18,7 +18,6 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
-from rosgraph_msgs.msg import Clock as ClockMessage
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 from typing_extensions import Self
@@ -32,8 +31,9 @@ from gtmr_msgs_py.node.diagnostics import Level
 from gtmr_msgs_py.node.parameters import FrameParameters, ModelParameters
 from gtmr_msgs_py.node.process import PROMPT, run
 from gtmr_msgs_py.node.silence import Silence
-from gtmr_msgs_py.node.suite_node import SuiteNode
+from gtmr_msgs_py.node.suite_node import Chores, SuiteNode
 from gtmr_msgs_py.wire import stamps
+from gtmr_msgs_py.wire.fixed_cdr import stamp_alone
 from gtmr_msgs_py.wire.message_error import MessageError
 from gtmr_sim.scenario import Scenario, whole_steps
 from gtmr_sim.session import Session
@@ -166,8 +166,9 @@ class SimNode(SuiteNode):
         self._timer = self.create_timer(scenario.tick_s, self._tick, clock=wall)
         self._set_pace()
         self.create_timer(0.5 * RESEND_PERIOD_S, self._resend, clock=wall)
-        self.create_timer(MARKERS_PERIOD_S, self._draw, clock=wall)
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose, clock=wall)
+        self._chores = Chores(self)
+        self._chores.add(MARKERS_PERIOD_S, self._draw)
+        self._chores.add(DIAGNOSTICS_PERIOD_S, self._diagnose)
         self._silence = Silence(self, "rotor_command", self._diagnose, self._is_flying)
         topics.ROTOR_COMMAND.subscription(self, self._on_command, topics.NEWEST, raw=True)
         zeta = ", ".join(f"{value:.3g}" for value in scenario.zeta)
@@ -201,6 +202,8 @@ class SimNode(SuiteNode):
                 f"sampling_time_s = {scenario.sampling_time_s} s"
             )
         self._play(plan)
+        # The time to the next command is longest now.
+        self._chores.do_one()
 
     def _is_flying(self) -> bool:
         session = self._session
@@ -246,10 +249,13 @@ class SimNode(SuiteNode):
         if measured:
             # The controller waits for these two.
             made_ns, seen = session.measured_ns, session.measured_x
-            self._odometry.publish(odometry.pack(made_ns, seen, frames))
-            self._rotor_states.publish(rotor_states.pack(made_ns, seen[ROTORS]))
+            state = odometry.pack(made_ns, seen, frames)
+            speeds = rotor_states.pack(made_ns, seen[ROTORS])
+            # One right after the other: it is woken once.
+            self._odometry.publish(state)
+            self._rotor_states.publish(speeds)
         self._truth.publish(odometry.pack(stamp_ns, x, frames))
-        self._clock_time.publish(ClockMessage(clock=stamps.encode(stamp_ns)))
+        self._clock_time.publish(stamp_alone(stamp_ns))
         if self._transform is not None:
             self._transform.publish(transforms.pack(stamp_ns, x, frames))
         self._guard.publish(Bool(data=bool(self._session.guard_active)))
@@ -362,7 +368,7 @@ class SimNode(SuiteNode):
                 throttle_duration_sec=WARNING_PERIOD_S,
             )
         self._diagnostics.publish(
-            diagnostics.encode(
+            diagnostics.pack(
                 # Simulated time is known here first.
                 session.stamp_ns,
                 f"{diagnostics.source(self)}: simulator",

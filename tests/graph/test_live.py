@@ -156,13 +156,13 @@ def test_the_view_draws_what_it_hears(monkeypatch):
     monkeypatch.setattr(live, "LivePage", Recorder)
     view = live.LiveView(DURATION_S, ["robust"])
     level, stamp_ns, step_ns = np.zeros((21, 3)), stamps.nanoseconds(1.5), 25_000_000
-    margins = tightening.encode(np.zeros((21, 9)), 0.001, MARGINS, np.zeros(21))
+    margins = tightening.pack(np.zeros((21, 9)), 0.001, MARGINS, np.zeros(21))
     said = (
         (topics.CLOCK, Clock(clock=stamps.encode(stamp_ns))),
         (topics.ODOM, odometry_message(stamp_ns, STATE)),
         (topics.ROTOR_STATES, rotor_states_message(stamp_ns, STATE[12:])),
-        (topics.PREDICTED_PATH, path.encode(stamp_ns, step_ns, PLAN, level)),
-        (topics.REFERENCE, path.encode(stamp_ns, step_ns, PLAN, level)),
+        (topics.PREDICTED_PATH, path.pack(stamp_ns, step_ns, PLAN, level)),
+        (topics.REFERENCE, path.pack(stamp_ns, step_ns, PLAN, level)),
         (topics.TIGHTENING, margins),
         (topics.CLEARANCE_RESIDUAL, clearance.encode_residual(-0.12)),
     )

@@ -18,11 +18,18 @@ from diagnostic_msgs.msg import DiagnosticArray
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from nav_msgs.msg import Odometry
+from nav_msgs.msg import Odometry, Path
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_typestore
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from support.loop_messages import odometry_message, rotor_command_message, rotor_states_message
+from std_msgs.msg import Float64MultiArray
+from support.loop_messages import (
+    odometry_message,
+    path_message,
+    rotor_command_message,
+    rotor_states_message,
+)
 from trajectory_msgs.msg import JointTrajectory
 
 from gtmr_model import CHANNELS, Helix, Tower
@@ -41,6 +48,7 @@ from gtmr_msgs_py.messages import (
 from gtmr_msgs_py.node import diagnostics
 from gtmr_msgs_py.node.diagnostics import Level
 from gtmr_msgs_py.wire import attitude, stamps
+from gtmr_msgs_py.wire.fixed_cdr import stamp_alone
 from gtmr_msgs_py.wire.message_error import MessageError
 
 finite = st.floats(-1e3, 1e3)
@@ -194,7 +202,8 @@ def test_a_path_says_when_it_is_where():
     reference = Helix().at([3.0, 3.5, 4.0], Tower())
     angles = np.zeros((3, 3))
     angles[:, 2] = reference.yaw
-    msg = over_the_wire(path.encode(3 * 10**9, 5 * 10**8, reference.position, angles))
+    packed = path.pack(3 * 10**9, 5 * 10**8, reference.position, angles)
+    msg = deserialize_message(packed, Path)
     times, positions = path.decode(msg)
     assert times.tolist() == [3 * 10**9, 35 * 10**8, 4 * 10**9]
     assert positions == pytest.approx(reference.position)
@@ -205,7 +214,8 @@ def test_a_path_says_when_it_is_where():
 def test_margins_come_back_under_their_labels():
     rng = np.random.default_rng(0)
     terms, alpha_g, slack = rng.random((21, 9)), rng.random(21), rng.random(21)
-    msg = over_the_wire(tightening.encode(terms, 1e-3, alpha_g, slack))
+    packed = tightening.pack(terms, 1e-3, alpha_g, slack)
+    msg = deserialize_message(packed, Float64MultiArray)
     stage, columns = msg.layout.dim
     assert (stage.label, stage.size, stage.stride) == ("stage", 21, 21 * 12)
     assert columns.label.split(",") == [*CHANNELS, "eps_s", "alpha_g", "slack"]
@@ -217,7 +227,8 @@ def test_margins_come_back_under_their_labels():
 
 
 def test_margins_under_other_labels_are_refused():
-    msg = tightening.encode(np.zeros((2, 9)), 0.0, np.zeros(2), np.zeros(2))
+    packed = tightening.pack(np.zeros((2, 9)), 0.0, np.zeros(2), np.zeros(2))
+    msg = deserialize_message(packed, Float64MultiArray)
     msg.layout.dim[1].label = "x,y"
     with pytest.raises(MessageError, match="labelled"):
         tightening.decode(msg)
@@ -241,11 +252,20 @@ def test_a_solve_time_is_in_seconds():
 
 def test_figures_come_back_from_diagnostics_as_what_they_are():
     values = {"mode": "robust", "steps": 12, "solve_ms": 3.25, "recording": True}
-    msg = over_the_wire(diagnostics.encode(5, "nmpc: controller", Level.WARN, "late", values))
-    assert isinstance(msg, DiagnosticArray)
+    msg = deserialize_message(
+        diagnostics.pack(5, "nmpc: controller", Level.WARN, "late", values, "paper"),
+        DiagnosticArray,
+    )
+    assert stamps.decode(msg.header.stamp) == 5
     (status,) = msg.status
+    assert (status.name, status.hardware_id) == ("nmpc: controller", "paper")
     assert (status.level, status.message) == (b"\x01", "late")
     assert diagnostics.decode(status) == values
+
+
+@given(stamp)
+def test_a_clock_is_a_stamp_alone(time_ns):
+    assert stamps.decode(deserialize_message(stamp_alone(time_ns), Clock).clock) == time_ns
 
 
 def test_every_topic_is_named_once_and_described():
@@ -288,6 +308,24 @@ def test_packed_commands_are_the_message_and_read_as_it_does(data, n_rotors, hor
         assert_same(vars(reader.unpack(packed)), vars(rotor_command.decode(msg, n_rotors)))
 
 
+@given(st.data(), st.integers(0, 8), st.integers(0, 2**30 * stamps.NANOSECONDS))
+def test_packed_paths_are_the_message(data, n_poses, time_ns):
+    step_ns = data.draw(st.integers(1, 10**9))
+    positions, rpy = (data.draw(arrays(float, (n_poses, 3), elements=finite)) for _ in range(2))
+    expected = path_message(time_ns, step_ns, positions, rpy)
+    # Attitudes may differ in their last digit.
+    msg = deserialize_message(path.pack(time_ns, step_ns, positions, rpy), Path)
+    for pose, found in zip(expected.poses, msg.poses, strict=True):
+        q, q_found = pose.pose.orientation, found.pose.orientation
+        assert vector_of(q_found) == pytest.approx(vector_of(q), abs=1e-15)
+        pose.pose.orientation = q_found
+    assert msg == expected
+
+
+def vector_of(quaternion):
+    return [quaternion.x, quaternion.y, quaternion.z, quaternion.w]
+
+
 def test_packed_messages_are_read_by_a_strict_reader_too():
     types = get_typestore(Stores.ROS2_JAZZY)
     command = rotor_command.pack(7, 100, np.ones((4, 6)), np.ones((3, 6)))
@@ -295,6 +333,7 @@ def test_packed_messages_are_read_by_a_strict_reader_too():
         (odometry.pack(7, np.zeros(12)), "nav_msgs/msg/Odometry"),
         (rotor_states.pack(7, np.ones(6)), "sensor_msgs/msg/JointState"),
         (command, "trajectory_msgs/msg/JointTrajectory"),
+        (path.pack(7, 100, np.zeros((2, 3)), np.zeros((2, 3))), "nav_msgs/msg/Path"),
     ]:
         assert types.deserialize_cdr(data, name).header.stamp.nanosec == 7
 

@@ -12,10 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from gtmr_model import CHANNELS, Tower
 from gtmr_nmpc import Controller, ControllerConfig
-from gtmr_nmpc.online.performance import Performance, standing
+from gtmr_nmpc.online.performance import Performance, quantiles, standing
 from gtmr_nmpc.solution import Timing
 from gtmr_sim import Scenario
 
@@ -63,3 +65,8 @@ def test_both_phases_together_must_keep_the_deadline(prepare_s, misses):
     solution = Controller().step(0.0, START)
     performance.add(replace(solution, timing=Timing(prepare_s, feedback_s=0.01)), latency_s=0.0)
     assert performance.deadline_misses == misses
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=9), st.floats(0.0, 1.0))
+def test_quantiles_are_those_of_numpy(values, share):
+    assert quantiles(values, (share,)) == pytest.approx([np.quantile(values, share)])

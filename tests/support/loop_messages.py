@@ -13,8 +13,8 @@ from array import array
 
 import numpy as np
 from builtin_interfaces.msg import Duration
-from geometry_msgs.msg import Point, Vector3
-from nav_msgs.msg import Odometry
+from geometry_msgs.msg import Point, PoseStamped, Vector3
+from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -51,6 +51,19 @@ def rotor_command_message(stamp_ns, step_ns, xi, u):
         point.time_from_start = Duration(sec=sec, nanosec=nanosec)
     msg = JointTrajectory(joint_names=names(len(xi[0])), points=points)
     msg.header.stamp = stamps.encode(stamp_ns)
+    return msg
+
+
+def path_message(stamp_ns, step_ns, positions, rpy):
+    """Of positions [m] and attitudes [rad], the first at the stamp."""
+    msg = Path()
+    msg.header.stamp, msg.header.frame_id = stamps.encode(stamp_ns), "map"
+    for i, (position, angles) in enumerate(zip(positions, rpy, strict=True)):
+        pose = PoseStamped()
+        pose.header.stamp, pose.header.frame_id = stamps.encode(stamp_ns + i * step_ns), "map"
+        pose.pose.position = xyz(Point, position)
+        pose.pose.orientation = attitude.encode(angles)
+        msg.poses.append(pose)
     return msg
 
 

@@ -107,7 +107,8 @@ def _state(
 
 @lru_cache(maxsize=8)
 def _layout(frames: Frames) -> FixedCdr:
-    layout = FixedCdr(frames.world)
+    layout = FixedCdr()
+    layout.header(frames.world)
     layout.string(frames.body)
     layout.float64(NUMBERS)
     return layout

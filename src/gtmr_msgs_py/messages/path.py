@@ -8,38 +8,27 @@
 
 """Paths through space as nav_msgs/Path."""
 
+from functools import lru_cache
+
 import numpy as np
-from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from numpy.typing import ArrayLike, NDArray
 
 from gtmr_msgs_py.contract import MAP
 from gtmr_msgs_py.wire import attitude, stamps
+from gtmr_msgs_py.wire.fixed_cdr import FixedCdr
 
 
-def encode(
+def pack(
     stamp_ns: int, step_ns: int, positions: ArrayLike, rpy: ArrayLike, world_frame: str = MAP
-) -> Path:
-    """Make a path of poses that follow each other at an even pace.
+) -> bytes:
+    """Make CDR bytes of a nav_msgs/Path of poses that follow each other at an even pace.
 
     The first is due at the stamp [ns], the next one step [ns] later; positions are in the world
     frame [m] and rpy are roll, pitch, yaw [rad], both of shape (n, 3).
     """
-    msg = Path()
-    msg.header.frame_id = world_frame
-    msg.header.stamp = stamps.encode(stamp_ns)
-    poses = []
-    rows = zip(np.asarray(positions).tolist(), np.asarray(rpy).tolist(), strict=True)
-    for i, ((x, y, z), angles) in enumerate(rows):
-        pose = PoseStamped()
-        pose.header.frame_id = world_frame
-        pose.header.stamp = stamps.encode(stamp_ns + i * step_ns)
-        point = pose.pose.position
-        point.x, point.y, point.z = float(x), float(y), float(z)
-        pose.pose.orientation = attitude.encode(angles)
-        poses.append(pose)
-    msg.poses = poses
-    return msg
+    poses = np.hstack([np.asarray(positions, dtype=float), attitude.quaternions(rpy)])
+    return _layout(step_ns, len(poses), world_frame).pack(stamp_ns, poses.ravel())
 
 
 def decode(msg: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -47,3 +36,15 @@ def decode(msg: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     points = [pose.pose.position for pose in msg.poses]
     times = np.array([stamps.decode(pose.header.stamp) for pose in msg.poses], dtype=np.int64)
     return times, np.array([(p.x, p.y, p.z) for p in points]).reshape(-1, 3)
+
+
+@lru_cache(maxsize=8)
+def _layout(step_ns: int, n_poses: int, world_frame: str) -> FixedCdr:
+    layout = FixedCdr()
+    layout.header(world_frame)
+    layout.uint32(n_poses)
+    for i in range(n_poses):
+        layout.header(world_frame, after_ns=i * step_ns)
+        # Position and quaternion.
+        layout.float64(7)
+    return layout

@@ -118,6 +118,7 @@ def _finite(plan: RotorPlan) -> RotorPlan:
 @lru_cache(maxsize=4)
 def _layout(step_ns: int, n_points: int, n_rotors: int) -> FixedCdr:
     layout = FixedCdr()
+    layout.header()
     layout.strings(rotor_names(n_rotors))
     layout.uint32(n_points)
     for i in range(n_points):

@@ -70,6 +70,7 @@ def _finite(xi: NDArray[np.float64]) -> NDArray[np.float64]:
 @cache
 def _layout(n_rotors: int) -> FixedCdr:
     layout = FixedCdr()
+    layout.header()
     layout.strings(rotor_names(n_rotors))
     # Neither positions nor efforts.
     layout.uint32(0, n_rotors)

@@ -8,17 +8,18 @@
 
 """The margins of a controller step, stage by stage, as std_msgs/Float64MultiArray."""
 
-from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from std_msgs.msg import Float64MultiArray
 
 from gtmr_model.uncertainty import N_ZETA
 from gtmr_msgs_py.contract import TIGHTENING_COLUMNS as COLUMNS
 from gtmr_msgs_py.contract import TIGHTENING_STAGE as STAGE
+from gtmr_msgs_py.wire.fixed_cdr import FixedCdr
 from gtmr_msgs_py.wire.message_error import MessageError
 
 
@@ -50,14 +51,16 @@ class PublishedTightening:
         return total + sum(self.further.values())
 
 
-def encode(
+def pack(
     by_channel: ArrayLike,
     eps_s: ArrayLike,
     alpha_g: ArrayLike,
     slack: ArrayLike,
     further: Mapping[str, ArrayLike] | None = None,
-) -> Float64MultiArray:
-    """Make the message of the margins [m]: N + 1 rows of the columns that a label names.
+) -> bytes:
+    """Make CDR bytes of a std_msgs/Float64MultiArray of the margins [m].
+
+    It has N + 1 rows of the columns that a label names.
 
     Terms of alpha_p without eps_s have shape (N + 1, 9), eps_s, the constant term, () or (N + 1,),
     alpha_g and slack, the violation of the tightened clearance, (N + 1,), and so have further
@@ -70,18 +73,13 @@ def encode(
     rows[:, :N_ZETA] = terms
     for column, values in enumerate((eps_s, alpha_g, slack, *more.values()), start=N_ZETA):
         rows[:, column] = values
-    msg = Float64MultiArray(data=array("d", rows.ravel()))
-    msg.layout.dim = [
-        MultiArrayDimension(label=STAGE, size=len(rows), stride=rows.size),
-        MultiArrayDimension(label=",".join(labels), size=len(labels), stride=len(labels)),
-    ]
-    return msg
+    return _layout(len(rows), labels).pack(0, rows.ravel())
 
 
 def decode(msg: Float64MultiArray) -> PublishedTightening:
     """Read the margins by the labels of their columns; a margin without a column is zero.
 
-    Raises MessageError if labels or sizes are not as `encode` makes them.
+    Raises MessageError if labels or sizes are not as `pack` makes them.
     """
     labels = [dim.label for dim in msg.layout.dim]
     columns = labels[1].split(",") if len(labels) == 2 and labels[0] == STAGE else []
@@ -102,3 +100,17 @@ def by_label(rows: NDArray[np.float64], columns: Sequence[str]) -> PublishedTigh
     ours = [told.pop(label, zero) for label in COLUMNS]
     by_channel, (eps_s, alpha_g, slack) = np.stack(ours[:N_ZETA], axis=-1), ours[N_ZETA:]
     return PublishedTightening(by_channel, eps_s, alpha_g, slack, told)
+
+
+@lru_cache(maxsize=8)
+def _layout(stages: int, labels: tuple[str, ...]) -> FixedCdr:
+    layout = FixedCdr()
+    layout.uint32(2)
+    layout.string(STAGE)
+    layout.uint32(stages, stages * len(labels))
+    layout.string(",".join(labels))
+    layout.uint32(len(labels), len(labels))
+    # The data begin at once.
+    layout.uint32(0, stages * len(labels))
+    layout.float64(stages * len(labels))
+    return layout

@@ -46,7 +46,9 @@ def pack_tower(frames: Frames = OURS) -> bytes:
 @lru_cache(maxsize=8)
 def _layout(world: str, child: str) -> FixedCdr:
     """One geometry_msgs/TransformStamped: translation, and rotation as a quaternion."""
-    layout = FixedCdr(world, sequence=True)
+    layout = FixedCdr()
+    layout.uint32(1)
+    layout.header(world)
     layout.string(child)
     layout.float64(7)
     return layout

@@ -14,9 +14,9 @@ from collections.abc import Mapping
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 
-from gtmr_msgs_py.wire import stamps
+from gtmr_msgs_py.wire.fixed_cdr import FixedCdr
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -41,29 +41,31 @@ def source(node: Node) -> str:
     return str(node.get_fully_qualified_name()).lstrip("/")
 
 
-def encode(
+def pack(
     stamp_ns: int,
     name: str,
     level: Level,
     message: str,
     values: Mapping[str, Value],
     hardware_id: str = "",
-) -> DiagnosticArray:
-    """Make the diagnostics of a node.
+) -> bytes:
+    """Make CDR bytes of a diagnostic_msgs/DiagnosticArray: how a node is doing.
 
     The name says what is diagnosed, for example ``nmpc: controller``; the message tells the level
     in words, the values are figures by name, which ends in the unit; the hardware is a vehicle.
     """
-    status = DiagnosticStatus(
-        name=name,
-        level=bytes([level]),
-        message=message,
-        hardware_id=hardware_id,
-        values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
-    )
-    msg = DiagnosticArray(status=[status])
-    msg.header.stamp = stamps.encode(stamp_ns)
-    return msg
+    array = FixedCdr()
+    array.header()
+    # One status.
+    array.uint32(1)
+    array.uint8(level)
+    for text in (name, message, hardware_id):
+        array.string(text)
+    array.uint32(len(values))
+    for key, value in values.items():
+        array.string(key)
+        array.string(_text(value))
+    return array.pack(stamp_ns, ())
 
 
 def decode(status: DiagnosticStatus) -> dict[str, Value]:

@@ -14,13 +14,45 @@ from collections.abc import Callable, Iterable
 from functools import wraps
 from typing import Any
 
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
 
 from gtmr_model import ConfigError
 from gtmr_msgs_py.node.parameter_events import PARAMETER_EVENTS, own_parameters
 from gtmr_msgs_py.wire.drops import WARNING_PERIOD_S, Drops
 from gtmr_msgs_py.wire.message_error import MessageError
 from gtmr_msgs_py.wire.reading import read
+
+
+class Chores:
+    """What a node does now and then: one thing at a time, and after what the loop waits for.
+
+    Each is due once a period, wall time [s], and is then done when the node next has served the
+    loop; while there is nothing to serve, at the end of the period.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._due: list[Callable[[], object]] = []
+
+    def add(self, period_s: float, work: Callable[[], object]) -> None:
+        """Do some work once a period [s], the first time as soon as there is time."""
+
+        def fall_due() -> None:
+            if work in self._due:
+                work()
+            else:
+                self._due.append(work)
+
+        self._due.append(work)
+        self._node.create_timer(period_s, fall_due, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def do_one(self) -> None:
+        """Do what has been due for longest, if anything is."""
+        if self._due:
+            self._due.pop(0)()
 
 
 class SuiteNode(LifecycleNode):

@@ -38,6 +38,21 @@ def encode(rpy: ArrayLike) -> Quaternion:
     )
 
 
+def quaternions(rpy: ArrayLike) -> NDArray[np.float64]:
+    """Turn angles as of `encode`, shape (n, 3), into unit quaternions x, y, z, w, shape (n, 4)."""
+    halves = 0.5 * np.asarray(rpy, dtype=float).T
+    (c_r, c_p, c_y), (s_r, s_p, s_y) = np.cos(halves), np.sin(halves)
+    return np.stack(
+        [
+            s_r * c_p * c_y - c_r * s_p * s_y,
+            c_r * s_p * c_y + s_r * c_p * s_y,
+            c_r * c_p * s_y - s_r * s_p * c_y,
+            c_r * c_p * c_y + s_r * s_p * s_y,
+        ],
+        axis=1,
+    )
+
+
 def rotation(quaternion: Quaternion) -> NDArray[np.float64]:
     """Turn a quaternion into a rotation matrix from body to world, shape (3, 3).
 

@@ -38,20 +38,29 @@ def stamp_of(data: bytes) -> int | None:
     return int(sec * NANOSECONDS + nanosec)
 
 
+def stamp_alone(stamp_ns: int) -> bytes:
+    """Make CDR bytes of a message that is no more than a stamp [ns], as rosgraph_msgs/Clock is."""
+    return CDR_LITTLE_ENDIAN + STAMP.pack(*divmod(stamp_ns, NANOSECONDS))
+
+
 class FixedCdr:
-    """The bytes of a message that begins with a header; write its fields in their order.
+    """The bytes of a message; write its fields in their order."""
 
-    If it is a ``sequence``, the header is that of the only element.
-    """
-
-    def __init__(self, frame_id: str = "", sequence: bool = False) -> None:
+    def __init__(self) -> None:
         self._bytes = bytearray(CDR_LITTLE_ENDIAN)
         self._numbers = np.empty(0, dtype=int)
-        if sequence:
-            self.uint32(1)
-        self._stamp_at = len(self._bytes)
+        self._stamps: list[tuple[int, int]] = []
+
+    def header(self, frame_id: str = "", after_ns: int = 0) -> None:
+        """Leave room for a stamp, so much later than the message's [ns], and name a frame."""
+        self._align(4)
+        self._stamps.append((len(self._bytes), after_ns))
         self._bytes += bytes(STAMP.size)
         self.string(frame_id)
+
+    def uint8(self, value: int) -> None:
+        """Write a small integer that is the same in every message."""
+        self._bytes.append(value)
 
     def uint32(self, *values: int) -> None:
         """Write integers, or lengths of sequences, that are the same in every message."""
@@ -80,15 +89,16 @@ class FixedCdr:
     def pack(self, stamp_ns: int, numbers: ArrayLike) -> bytes:
         """Make a message as CDR bytes, which a publisher takes in its place.
 
-        It has a stamp [ns] in its header, and every float64 in order, shape (M,).
+        It has a stamp [ns] in its headers, and every float64 in order, shape (M,).
         """
         data = self._bytes.copy()
-        STAMP.pack_into(data, self._stamp_at, *divmod(stamp_ns, NANOSECONDS))
+        for at, after_ns in self._stamps:
+            STAMP.pack_into(data, at, *divmod(stamp_ns + after_ns, NANOSECONDS))
         _float64_of(data)[self._numbers] = numbers
         return bytes(data)
 
     def unpack(self, data: bytes) -> tuple[int, NDArray[np.float64]] | None:
-        """Read the stamp [ns] and every float64 in order, shape (M,), of CDR bytes.
+        """Read the stamp [ns] and every float64 in order, shape (M,), of bytes with one header.
 
         None if they differ from this message in anything else: then they have to be read as any
         message has.
@@ -99,8 +109,9 @@ class FixedCdr:
         float64 = _float64_of(rest)
         numbers = float64[self._numbers]
         float64[self._numbers] = 0.0
-        sec, nanosec = STAMP.unpack_from(rest, self._stamp_at)
-        STAMP.pack_into(rest, self._stamp_at, 0, 0)
+        ((stamp_at, _),) = self._stamps
+        sec, nanosec = STAMP.unpack_from(rest, stamp_at)
+        STAMP.pack_into(rest, stamp_at, 0, 0)
         return (sec * NANOSECONDS + nanosec, numbers) if rest == self._bytes else None
 
     def _align(self, size: int) -> None:
