@@ -249,11 +249,8 @@ class SimNode(SuiteNode):
         if measured:
             # The controller waits for these two.
             made_ns, seen = session.measured_ns, session.measured_x
-            state = odometry.pack(made_ns, seen, frames)
-            speeds = rotor_states.pack(made_ns, seen[ROTORS])
-            # One right after the other: it is woken once.
-            self._odometry.publish(state)
-            self._rotor_states.publish(speeds)
+            self._odometry.publish(odometry.pack(made_ns, seen, frames))
+            self._rotor_states.publish(rotor_states.pack(made_ns, seen[ROTORS]))
         self._truth.publish(odometry.pack(stamp_ns, x, frames))
         self._clock_time.publish(stamp_alone(stamp_ns))
         if self._transform is not None:

@@ -15,7 +15,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import rclpy
-from rclpy.serialization import serialize_message
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from support.loop_messages import rotor_states_message
 from support.malformed import MALFORMED
@@ -212,7 +213,7 @@ def told(node):
     sent = []
     node.node._diagnostics = SimpleNamespace(publish=sent.append)
     node.node._diagnose()
-    (status,) = sent[-1].status
+    (status,) = deserialize_message(sent[-1], DiagnosticArray).status
     return status.level, status.message, diagnostics.decode(status)
 
 
