@@ -29,6 +29,7 @@ IN_C = "tests/nmpc/test_step_in_c.py::test_"
 PASSES = "tests/nmpc/test_passes.py::test_"
 SENSITIVITY = "tests/nmpc/test_sensitivity.py::test_"
 MESSAGES = "tests/msgs/test_messages.py::test_"
+GUESSES = "tests/nmpc/test_guesses.py::test_"
 LOOP = "tests/study/test_faults.py::test_what_is_promised_in_the_loop_is_kept"
 FUZZ = "tests/fuzz/test_fuzz.py::test_"
 MUTATIONS = [
@@ -64,7 +65,25 @@ MUTATIONS = [
         PASSES + "clearances_that_are_all_at_their_cap_do_not_go_round_in_circles",
     ),
     (
-        f"{C}/riccati.c",
+        f"{C}/held.c",
+        "g[BODY + r] += change;",
+        "(void)change;",
+        GUESSES + "a_few_guesses_solve_what_has_a_hundred_active_rows[nominal-frozen]",
+    ),
+    (
+        f"{C}/pivoting.c",
+        "        settle_out_of_reach(c);",
+        "        (void)settle_out_of_reach;",
+        GUESSES + "a_few_guesses_solve_what_has_a_hundred_active_rows[robust-frozen]",
+    ),
+    (
+        f"{C}/pivoting.c",
+        "SWAPS = 3",
+        "SWAPS = 99",
+        GUESSES + "a_few_guesses_solve_what_has_a_hundred_active_rows[robust-frozen]",
+    ),
+    (
+        f"{C}/rollout.c",
         "keep_within(c, i, now);",
         "(void)keep_within;",
         PASSES + "a_step_that_is_stopped_returns_a_plan_within_the_limits_of_the_rotors",
@@ -82,7 +101,7 @@ MUTATIONS = [
         COMPILED + "other_vehicles",
     ),
     (
-        f"{C}/riccati.c",
+        f"{C}/riccati.h",
         "g[N_X + j] = 2.0 *",
         "g[N_X + j] = 1.0 *",
         COMPILED + "other_vehicles",
@@ -334,7 +353,7 @@ def main(words: list[str]) -> int:
     escaped = 0
     with tempfile.TemporaryDirectory() as folder:
         root, here = Path(folder), Path(__file__).resolve().parent.parent
-        for part in ("src", "tests", "config", "bags", "pyproject.toml"):
+        for part in ("src", "tests", "bench", "config", "bags", "pyproject.toml"):
             copy = shutil.copytree if (here / part).is_dir() else shutil.copy
             copy(here / part, root / part)
         chosen = [

@@ -55,6 +55,8 @@ class Qp(NamedTuple):
     """One QP that was solved."""
 
     passes: int
+    guesses: int
+    """Of what is at the rotors' bounds; -1 if none was right."""
     xi: np.ndarray
     """Measured rotor speeds [Hz], shape (N_p,)."""
     result: IterationResult
@@ -96,7 +98,7 @@ class HardQps:
         start = time.thread_time()
         result = self._iteration.feedback(x)
         feedback_s = time.thread_time() - start
-        return Qp(self._iteration.passes, x[12:], result, feedback_s)
+        return Qp(self._iteration.passes, self._iteration.guesses, x[12:], result, feedback_s)
 
     def _random_state(self, rng: np.random.Generator) -> np.ndarray:
         x = self._hover.copy()
@@ -122,6 +124,8 @@ class Tally(NamedTuple):
 
     passes: np.ndarray
     """How many QPs were solved in so many passes, from 0 on."""
+    guesses: Counter
+    """How many QPs were solved in so many guesses; -1 are those that were left to their rows."""
     statuses: Counter
     """How many QPs ended with a status; of those that were not solved, how many at the bound, and
     how many with a plan that stays upright."""
@@ -139,6 +143,7 @@ class Tally(NamedTuple):
             counts[: len(part)] += part
         return Tally(
             counts,
+            self.guesses + other.guesses,
             self.statuses + other.statuses,
             max(self.longest, other.longest),
             max(self.upright, other.upright),
@@ -148,7 +153,7 @@ class Tally(NamedTuple):
 
 def tally(starts: range) -> Tally:
     """Solve the QPs of these starts, in a process of their own."""
-    qps, passes, statuses = HardQps(), [], Counter()
+    qps, passes, guesses, statuses = HardQps(), [], Counter(), Counter()
     longest = upright = slowest = (0.0, 0, 0)
     for number in starts:
         for which, qp in enumerate(qps.from_start(number)):
@@ -156,6 +161,7 @@ def tally(starts: range) -> Tally:
             stays_upright = np.abs(qp.result.x_plan[:, PITCH]).max() < np.pi / 2
             if qp.result.status in ("solved", "softened"):
                 passes.append(qp.passes)
+                guesses[qp.guesses] += 1
                 longest = max(longest, (qp.passes, number, which))
                 if stays_upright:
                     upright = max(upright, (qp.passes, number, which))
@@ -164,7 +170,7 @@ def tally(starts: range) -> Tally:
             if qp.passes == MAX_PASSES:
                 statuses["at the bound"] += 1
                 slowest = max(slowest, (qp.feedback_s, number, which))
-    return Tally(np.bincount(passes), statuses, longest, upright, slowest)
+    return Tally(np.bincount(passes), guesses, statuses, longest, upright, slowest)
 
 
 def percentile(counts: np.ndarray, share: float) -> int:
@@ -201,6 +207,7 @@ def main() -> None:
     print(f"passes of the {counts.sum()} that were solved:")
     for share in (50.0, 90.0, 99.0, 99.9, 99.99, 99.999, 100.0):
         print(f"{share:10.3f} %  {percentile(counts, share):4} passes")
+    print(f"guesses of these, -1 where none was right: {dict(sorted(total.guesses.items()))}")
     for first in range(0, len(counts), BIN):
         if qps := counts[first : first + BIN].sum():
             print(f"{first:8} to {first + BIN - 1:<4} {qps:8} QPs")

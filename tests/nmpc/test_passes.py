@@ -40,7 +40,7 @@ def hard():
 @pytest.fixture
 def hurried(monkeypatch):
     """Make a problem, of another horizon than all others, whose solver stops after FEW passes."""
-    flags = ("-O0", f"-DGTMR_MAX_PASSES={FEW}")
+    flags = ("-O0", f"-DGTMR_MAX_PASSES={FEW}", "-DGTMR_MAX_GUESSES=0")
     monkeypatch.setattr(codegen, "WRITTEN_FLAGS", flags)
     monkeypatch.setattr(codegen, "GENERATED_FLAGS", ("-O0",))
     return ControllerConfig(horizon=19)

@@ -156,6 +156,14 @@ class CompiledIteration:
         """How many passes the active set took in the last step."""
         return int(self.library.gtmr_passes(self.controller))
 
+    @property
+    def guesses(self) -> int:
+        """How many guesses of what is at the rotors' bounds the last step took.
+
+        0 if none was needed, -1 if none was right and the active set solved the whole QP.
+        """
+        return int(self.library.gtmr_guesses(self.controller))
+
     def reconfigure(self, config: ControllerConfig) -> None:
         """See `Iteration.reconfigure`."""
         self._config = config

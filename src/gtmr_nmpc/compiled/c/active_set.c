@@ -19,9 +19,6 @@
 #include "combine.h"
 #include "workspace.h"
 
-/* Least violation that counts: of a row scaled to norm 1, and from the rounding of its value. */
-#define VIOLATED 1e-10
-#define ROUNDING 4e-15
 /* Share of the largest violation from which on the worst of other rows enters together with it. */
 #define TOGETHER 0.2
 
@@ -258,61 +255,6 @@ static void refine(gtmr_controller *c)
     minimiser(c);
 }
 
-/* By how much v changes the value of each row. */
-static void changes(const gtmr_controller *c, double *change)
-{
-    double speed[N_U] = {0.0};
-    if (c->only_clearances) {
-        memset(change, 0, N_ROWS * sizeof(double));
-    }
-    for (int i = 0; i < STAGES; ++i) {
-        const int first = row_of(i, 0), length = row_length(first);
-        for (int j = 0; j < N_U && !c->only_clearances; j += TILE_ROWS) {
-            const double *row[TILE_ROWS];
-            double along[TILE_ROWS];
-            for (int r = 0; r < TILE_ROWS; ++r) {
-                /* Past the last input, clearance. */
-                row[r] = c->rows[first + (j + r < N_U ? j + r : CLEARANCE)];
-            }
-            dot_tile(TILE_ROWS, row, c->v, length, along);
-            for (int r = 0; r < TILE_ROWS && j + r < N_U; ++r) {
-                change[first + j + r] = along[r];
-                /* Speeds are sums of inputs: no need to go through their rows. */
-                speed[j + r] += PERIOD_S * along[r];
-                change[first + N_U + j + r] = speed[j + r];
-            }
-        }
-        change[first + CLEARANCE] = dot(c->rows[first + CLEARANCE], c->v, length);
-    }
-}
-
-/*
- * By how much rows outside the working set are violated, scaled; negative below their bounds.
- * Returns the row that is violated most, NONE if all hold.
- */
-static int violations(const gtmr_controller *c, double *restrict violation)
-{
-    double change[N_ROWS], most = 0.0;
-    int worst = NONE;
-    changes(c, change);
-    /* Without branches, for the compiler to take several rows at a time. */
-    for (int i = 0; i < N_ROWS; ++i) {
-        const double value = c->value[i] + change[i];
-        const double above = value - c->upper[i], below = c->lower[i] - value;
-        const double more = above > below ? above : below;
-        const double worse = (more - ROUNDING) * c->inverse_norm[i];
-        const int counts = (worse > VIOLATED) & !c->in_set[i];
-        violation[i] = counts ? (above > below ? worse : -worse) : 0.0;
-    }
-    for (int i = 0; i < N_ROWS; ++i) {
-        if (fabs(violation[i]) > most) {
-            most = fabs(violation[i]);
-            worst = i;
-        }
-    }
-    return worst;
-}
-
 static active_row violated_row(const gtmr_controller *c, int row, double violation)
 {
     active_row a = row_at_bound(c, row, violation > 0.0 ? 1.0 : -1.0);
@@ -331,7 +273,7 @@ static int enter_violated(gtmr_controller *c, const double *violation, int worst
     if (!enter(c, violated_row(c, worst, violation[worst]))) {
         return 0;
     }
-    for (int i = 0; i < N_ROWS; ++i) {
+    for (int i = first_row(c); i < N_ROWS; i += row_stride(c)) {
         const int which = i % STAGE_ROWS;
         const int group = which == CLEARANCE ? N_U : which % N_U;
         if (fabs(violation[i]) > most[group]) {
@@ -355,7 +297,7 @@ static void take_up(gtmr_controller *c)
     double w[LD_ACTIVE];
     c->active.count = c->active.settled = 0;
     memset(c->in_set, 0, sizeof c->in_set);
-    for (int i = 0; i < N_ROWS; ++i) {
+    for (int i = first_row(c); i < N_ROWS; i += row_stride(c)) {
         const double multiplier = c->multiplier[i];
         const double bound = multiplier > 0.0 ? c->upper[i] : c->lower[i];
         if (multiplier == 0.0 || fabs(bound) == HUGE_VAL || c->inverse_norm[i] == 0.0) {
@@ -434,10 +376,10 @@ static int iterate(gtmr_controller *c)
             }
         }
         minimiser(c);
-        int worst = violations(c, violation);
+        int worst = gtmr_violations(c, violation);
         if (worst == NONE) {
             refine(c);
-            worst = violations(c, violation);
+            worst = gtmr_violations(c, violation);
         }
         if (worst == NONE) {
             return 1;

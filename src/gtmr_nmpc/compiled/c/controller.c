@@ -113,6 +113,7 @@ void gtmr_prepare(gtmr_controller *c, double t, double margin_scale)
 {
     c->margin_scale = margin_scale;
     c->is_tightened = 0;
+    memset(c->has_margin_gradient, 0, sizeof c->has_margin_gradient);
     gtmr_linearise(c, t);
     gtmr_clearance_along_iterate(c);
     gtmr_riccati_factorise(c);
@@ -151,7 +152,7 @@ static int outside(const gtmr_controller *c, int row, double tolerance)
 enum { ROTORS_BROKEN = 1, CLEARANCES_BROKEN = 2 };
 
 /* The tightened clearances of stages 1 to N after a step [m]. */
-static void clearances_along_step(gtmr_controller *c, double *along)
+void gtmr_clearances_along_step(gtmr_controller *c, double *along)
 {
     double change[STAGES + 1] = {0.0};
     if (with_margin_gradient(c)) {
@@ -169,7 +170,7 @@ static int inequalities(gtmr_controller *c, const double *x)
 {
     double along[STAGES + 1];
     int rotors = 0, clearances = 0;
-    clearances_along_step(c, along);
+    gtmr_clearances_along_step(c, along);
     for (int i = 0; i < STAGES; ++i) {
         for (int r = 0; r < N_U; ++r) {
             const int input = row_of(i, r), speed = row_of(i, N_U + r);
@@ -298,7 +299,7 @@ static int clearances_suffice(gtmr_controller *c, const double *dx0)
     if (gtmr_active_set_solve(c) != 0) {
         return 0;
     }
-    gtmr_riccati_rollout(c, dx0, c->v);
+    gtmr_rollout(c, dx0, c->v);
     return !breaks_rotor_limits(c, INPUT_ROUNDING, SPEED_ROUNDING);
 }
 
@@ -306,38 +307,70 @@ static int clearances_suffice(gtmr_controller *c, const double *dx0)
 static void slack_of_step(gtmr_controller *c, double *slack)
 {
     double along[STAGES + 1];
-    clearances_along_step(c, along);
+    gtmr_clearances_along_step(c, along);
     for (int i = 1; i <= STAGES; ++i) {
         slack[i] = along[i] > SLACK_ROUNDING ? along[i] : 0.0;
     }
 }
 
-/* The whole QP; 0 if solved. Rotor limits are hard: a step that breaks them is no solution. */
-static int solve_whole(gtmr_controller *c, const double *dx0)
+/* Begin where the guesses ended, unless that is no number. */
+static void start_from_guess(gtmr_controller *c)
 {
-    gtmr_condense(c);
+    double total = 0.0;
+    for (int i = 0; i < N_ROWS; ++i) {
+        total += fabs(c->last.multiplier[i]);
+    }
+    for (int i = 0; i < N_ROWS; ++i) {
+        c->multiplier[i] = isfinite(total) ? c->last.multiplier[i] : 0.0;
+    }
     memset(c->last.multiplier, 0, sizeof c->last.multiplier);
+}
+
+/* The whole QP by rows; 0 if solved. Rotor limits are hard: a step that breaks them is no
+ * solution. */
+static int solve_whole(gtmr_controller *c, const double *x, const double *dx0)
+{
+    c->passes = c->held_stages = 0;
+    c->guesses = -1;
+    gtmr_rollout(c, dx0, NULL);
+    inequalities(c, x);
+    gtmr_condense(c);
+    start_from_guess(c);
     if (gtmr_active_set_solve(c) != 0) {
         return 1;
     }
-    gtmr_riccati_rollout(c, dx0, c->v);
+    gtmr_rollout(c, dx0, c->v);
     return breaks_rotor_limits(c, LIMIT_TOLERANCE_HZ_S, LIMIT_TOLERANCE_HZ);
 }
 
+/* The whole QP by guesses; whether that solved it. */
+static int guesses_suffice(gtmr_controller *c, const double *dx0)
+{
+    return gtmr_pivot(c, dx0) &&
+           !breaks_rotor_limits(c, LIMIT_TOLERANCE_HZ_S, LIMIT_TOLERANCE_HZ);
+}
+
 /* The QP with its inequalities, of which some kinds are broken at v = 0. */
-static gtmr_status constrained_step(gtmr_controller *c, const double *dx0, int broken,
-                                    double *slack)
+static gtmr_status constrained_step(gtmr_controller *c, const double *x, const double *dx0,
+                                    int broken, double *slack)
 {
     gtmr_status status = GTMR_SOLVED;
     const int simple = broken == CLEARANCES_BROKEN && !starts_with_rotors(c);
-    if (!(simple && clearances_suffice(c, dx0)) && solve_whole(c, dx0) != 0) {
-        /* A dual method has no feasible point before its end: cut the inputs of what it has. */
-        gtmr_riccati_rollout_within(c, dx0, c->v);
+    int by_rows = simple && clearances_suffice(c, dx0);
+    if (!by_rows && !guesses_suffice(c, dx0)) {
+        by_rows = 1;
+        if (solve_whole(c, x, dx0) != 0) {
+            /* A dual method has no feasible point before its end: cut the inputs of what it has. */
+            gtmr_rollout_within(c, dx0, c->v);
+            slack_of_step(c, slack);
+            return GTMR_LIMITED;
+        }
+    }
+    if (!by_rows) {
         slack_of_step(c, slack);
-        return GTMR_LIMITED;
     }
     for (int i = 0; i < STAGES; ++i) {
-        slack[i + 1] = planned_slack(c, row_of(i, CLEARANCE));
+        slack[i + 1] = by_rows ? planned_slack(c, row_of(i, CLEARANCE)) : slack[i + 1];
         status = slack[i + 1] > 0.0 ? GTMR_SOFTENED : status;
     }
     return status;
@@ -351,11 +384,11 @@ gtmr_status gtmr_feedback(gtmr_controller *c, const double *x, double *to)
         dx0[j] = x[j] - c->x[0][j];
     }
     memset(c->last.multiplier, 0, sizeof c->last.multiplier);
-    c->passes = 0;
-    gtmr_riccati_rollout(c, dx0, NULL);
+    c->passes = c->guesses = c->held_stages = 0;
+    gtmr_rollout(c, dx0, NULL);
     const int broken = inequalities(c, x);
     if (broken) {
-        status = constrained_step(c, dx0, broken, slack);
+        status = constrained_step(c, x, dx0, broken, slack);
     }
     if (!is_finite_step(c)) {
         status = GTMR_FAILED;
@@ -368,6 +401,11 @@ gtmr_status gtmr_feedback(gtmr_controller *c, const double *x, double *to)
     slack[0] = measured_slack(c, x);
     write_plan(c, slack, to);
     return status;
+}
+
+int gtmr_guesses(const gtmr_controller *c)
+{
+    return c->guesses;
 }
 
 int gtmr_passes(const gtmr_controller *c)

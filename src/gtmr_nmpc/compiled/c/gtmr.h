@@ -177,6 +177,10 @@ gtmr_status gtmr_feedback(gtmr_controller *controller, const double *x, double *
  * active_set.c; 0 where no inequality was broken without it. */
 int gtmr_passes(const gtmr_controller *controller);
 
+/* How many guesses of what is at the rotors' bounds the last step took, at most GTMR_MAX_GUESSES of
+ * pivoting.c; 0 where none was needed, -1 where none was right and the active set took over. */
+int gtmr_guesses(const gtmr_controller *controller);
+
 /*
  * The observer, which needs nothing of the above: forget what it knows, take in a measured state
  * dt [s] after the one before, and predict a state by dt while the rotors go to speeds xi.

@@ -192,9 +192,28 @@ static void change_with_signs(gtmr_controller *c, int like, int last, double *ch
     }
 }
 
+/* The same by gradients, where all are known. */
+static void change_by_gradients(gtmr_controller *c, double *change)
+{
+    for (int i = 1; i <= STAGES; ++i) {
+        const double(*gradient)[LD_XU] = gtmr_margin_gradient(c, i);
+        change[i] = dot(gradient[i], c->step[i], LD_X);
+        for (int k = 0; k < i; ++k) {
+            change[i] += dot(gradient[k], c->step[k], LD_XU);
+        }
+    }
+}
+
 void gtmr_margin_change_along_step(gtmr_controller *c, double *change)
 {
-    int done[STAGES + 1] = {0};
+    int done[STAGES + 1] = {0}, known = 1;
+    for (int i = 1; i <= STAGES; ++i) {
+        known &= c->has_margin_gradient[i];
+    }
+    if (known) {
+        change_by_gradients(c, change);
+        return;
+    }
     for (int i = 1; i <= STAGES; ++i) {
         int last = i;
         for (int j = i; !done[i] && j <= STAGES; ++j) {
@@ -224,10 +243,10 @@ static void costates(const gtmr_controller *c, int stage, double lambda[][LD_XU]
     }
 }
 
-void gtmr_margin_gradient(gtmr_controller *c, int stage, double d_x[][N_X], double d_u[][N_U])
+static void find_margin_gradient(gtmr_controller *c, int stage, double to[][LD_XU])
 {
     const clearance *y = &c->clearances[stage];
-    double lambda[STAGES][LD_XU], direction[BODY];
+    double lambda[STAGES][LD_XU], direction[BODY], turn[CLEARANCE_STATES];
     costates(c, stage, lambda);
     for (int first = 0; first < stage; first += VEC) {
         for (int which = 0; which < VEC; ++which) {
@@ -242,15 +261,23 @@ void gtmr_margin_gradient(gtmr_controller *c, int stage, double d_x[][N_X], doub
         }
         gtmr_model_adjoint(c->lanes_in, c->lanes_out);
         for (int which = 0; which < smaller(VEC, stage - first); ++which) {
-            get(c->lanes_out, which, d_x[first + which], N_X);
-            get(c->lanes_out + N_X, which, d_u[first + which], N_U);
+            get(c->lanes_out, which, to[first + which], N_XU);
         }
     }
-    memset(d_x[stage], 0, sizeof d_x[stage]);
+    memset(to[stage], 0, sizeof to[stage]);
     worst_direction(c, stage, y->signs, direction);
-    double turn[CLEARANCE_STATES];
     curvature(c->x[stage], direction, turn);
     for (int k = 0; k < CLEARANCE_STATES; ++k) {
-        d_x[stage][CLEARANCE_STATE[k]] = turn[k];
+        to[stage][CLEARANCE_STATE[k]] = turn[k];
     }
+}
+
+const double (*gtmr_margin_gradient(gtmr_controller *c, int stage))[LD_XU]
+{
+    double(*rows)[LD_XU] = c->margin_gradient + stage * (stage + 1) / 2;
+    if (!c->has_margin_gradient[stage]) {
+        find_margin_gradient(c, stage, rows);
+        c->has_margin_gradient[stage] = 1;
+    }
+    return (const double(*)[LD_XU])rows;
 }

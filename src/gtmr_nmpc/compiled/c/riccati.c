@@ -13,236 +13,23 @@
  * inequalities become rows in v. With Z = C H_ux and z = C g_u it is u = C' (v - z - Z x), which
  * is all that a roll-out needs.
  */
-#include <string.h>
-
-#include "combine.h"
-#include "workspace.h"
-
-/* First states of a kind, and where the rows of omega, which depend on no other, begin. */
-enum { ETA = 3, OMEGA = 9, OMEGA_COLUMNS = OMEGA / VEC * VEC };
-
-/*
- * Cost to go, x' P x / 2 + p' x. P is symmetric: computed are the registers up to the diagonal;
- * `mirror` adds what is read beyond them, inside the blocks of the body and of the rotors.
- */
-typedef struct {
-    double P[N_X][LD_X];
-    double p[LD_X];
-} value_function;
-
-/* Hessian of stage cost plus cost to go with respect to [x u], and what leads to it. */
-typedef struct {
-    /* P [A B] by the body's part of [A B] alone, in the order of the jacobian, with the weighted
-     * rows of the acceleration; then its rows of the rotors. */
-    double W[N_H + N_U][LD_XU];
-    /* What the rows of the body, of the rotors and of the inputs begin with. */
-    double weights[BODY][LD_X];
-    double of_rotors[N_U][LD_XU];
-    double of_inputs[N_U][LD_XU];
-    double of_input[N_U][LD_XU]; /* rows of the inputs */
-} hessian;
-
-static void at_the_end(const gtmr_controller *c, value_function *to, hessian *H)
-{
-    const double *w = c->parameters.stage_weights;
-    memset(to, 0, sizeof *to);
-    memset(H, 0, sizeof *H);
-    for (int j = 0; j < 3; ++j) {
-        to->P[j][j] = 2.0 * c->parameters.terminal_weights[j];
-        to->p[j] = 2.0 * c->cost_gradient[STAGES][j];
-        H->weights[j][j] = 2.0 * w[j];
-        H->weights[3 + j][3 + j] = 2.0 * w[9 + j];
-        H->weights[6 + j][6 + j] = 2.0 * w[3 + j];
-        H->weights[9 + j][9 + j] = 2.0 * w[12 + j];
-    }
-}
-
-UNROLLED void multiply(int rows, const double *P, const interval *at, double *W)
-{
-    const double none[LD_XU] = {0.0}, *left = at->jacobian[0], *right = left + OMEGA_COLUMNS;
-    const beginning zero = {none, 0, 1.0};
-    const coefficients by = {P, LD_X, 1};
-    combine_from(rows, OMEGA_COLUMNS, OMEGA, by, left, LD_XU, zero, W, LD_XU);
-    combine_from(rows, LD_XU - OMEGA_COLUMNS, BODY, by, right, LD_XU, zero, W + OMEGA_COLUMNS,
-                 LD_XU);
-}
-
-/*
- * Rotor speeds integrate the inputs: their part of [A B] is [0 I T_s I], whose products are moved
- * to their places. Done before the rows of the body, so that it is out of the way when needed.
- */
-static void begin_rotors(const gtmr_controller *c, const value_function *next, hessian *H)
-{
-    double(*W)[LD_XU] = H->W + N_H;
-    for (int i = 0; i < N_U; ++i) {
-        for (int j = 0; j < LD_XU; j += VEC) {
-            const vec row = load(W[i] + j);
-            store(H->of_rotors[i] + j, row);
-            store(H->of_inputs[i] + j, PERIOD_S * row);
-        }
-    }
-    for (int i = 0; i < N_U; ++i) {
-        for (int j = 0; j < N_U; ++j) {
-            const double P = next->P[BODY + i][BODY + j];
-            const double moved = W[j][N_X + i] + PERIOD_S * P;
-            H->of_rotors[i][BODY + j] += W[j][BODY + i] + P;
-            H->of_inputs[i][BODY + j] += moved;
-            H->of_inputs[i][N_X + j] += PERIOD_S * moved;
-        }
-        H->of_inputs[i][N_X + i] += 2.0 * c->parameters.input_weight;
-    }
-}
-
-static void carry_back(const gtmr_controller *c, const interval *at, const value_function *next,
-                       hessian *H)
-{
-    multiply(N_U, next->P[BODY], at, H->W[N_H]);
-    begin_rotors(c, next, H);
-    multiply(BODY, next->P[0], at, H->W[0]);
-    for (int i = 0; i < 3; ++i) {
-        const double weight = 2.0 * c->parameters.stage_weights[6 + i];
-        for (int j = 0; j < LD_XU; j += VEC) {
-            store(H->W[BODY + i] + j, weight * load(at->jacobian[BODY + i] + j));
-        }
-    }
-}
-
-static void input_rows(const interval *at, hessian *H)
-{
-    const coefficients B = {at->jacobian[0] + N_X, 1, LD_XU};
-    const beginning from = {H->of_inputs[0], LD_XU, 1.0};
-    combine_from(N_U, LD_XU, BODY, B, H->W[0], LD_XU, from, H->of_input[0], LD_XU);
-}
-
-/* Rows of the states, up to the diagonal. */
-static void state_rows(const interval *at, const hessian *H, double P[N_X][LD_X])
-{
-    const double *W = H->W[0];
-    const coefficients A = {at->jacobian[0], 1, LD_XU};
-    const coefficients acceleration = {at->jacobian[BODY], 1, LD_XU};
-    const beginning weights = {H->weights[0], LD_X, 1.0}, half = {P[0], LD_X, 1.0};
-    const beginning rotors = {H->of_rotors[0] - BODY * LD_XU, LD_XU, 1.0};
-    /* Positions go through the dynamics unchanged: their rows stand already. */
-    for (int r = 0; r < ETA; ++r) {
-        for (int j = 0; j < PADDED(ETA); j += VEC) {
-            store(P[r] + j, load(H->weights[r] + j) + load(H->W[r] + j));
-        }
-    }
-    combine_lower(ETA, OMEGA, OMEGA, A, W, LD_XU, weights, P[0], LD_X);
-    combine_lower(ETA, OMEGA, 3, acceleration, H->W[BODY], LD_XU, half, P[0], LD_X);
-    combine_lower(OMEGA, BODY, BODY, A, W, LD_XU, weights, P[0], LD_X);
-    combine_lower(BODY, N_X, N_H, A, W, LD_XU, rotors, P[0], LD_X);
-}
-
-/* Gradient of stage cost plus cost to go with respect to [x u]. */
-static void gradient(const gtmr_controller *c, int stage, const value_function *next, double *g)
-{
-    const interval *at = &c->intervals[stage];
-    double y[LD_X];
-    memcpy(y, next->p, sizeof y);
-    const coefficients defect = {at->defect, 0, 1};
-    combine(1, PADDED(BODY), N_X, defect, next->P[0], LD_X, y, LD_X);
-    for (int j = 0; j < N_U; ++j) {
-        y[BODY + j] = next->p[BODY + j] + dot(next->P[BODY + j], at->defect, LD_X);
-    }
-    memset(g, 0, LD_XU * sizeof(double));
-    for (int j = 0; j < N_X; ++j) {
-        g[j] = 2.0 * c->cost_gradient[stage][j] + (j >= BODY ? y[j] : 0.0);
-    }
-    for (int j = 0; j < N_U; ++j) {
-        g[N_X + j] = 2.0 * c->parameters.input_weight * c->u[stage][j] + PERIOD_S * y[BODY + j];
-    }
-    const coefficients costate = {y, 0, 1};
-    combine(1, LD_XU, BODY, costate, at->jacobian[0], LD_XU, g, LD_XU);
-}
-
-/*
- * Cholesky factorisation of the inputs' part of H, row by row, with all that is right of it: H
- * becomes [Z L'], g becomes z.
- */
-static void eliminate(double H[N_U][LD_XU], double *g)
-{
-    for (int j = 0; j < N_U; ++j) {
-        /* Square roots wait for nothing that the next row needs. */
-        const double inverse = 1.0 / H[j][N_X + j], scale = sqrt(inverse);
-        for (int i = j + 1; i < N_U; ++i) {
-            const double by = -inverse * H[j][N_X + i];
-            add_scaled(H[i], by, H[j], LD_XU);
-            g[i] += by * g[j];
-        }
-        for (int k = 0; k < LD_XU; k += VEC) {
-            store(H[j] + k, scale * load(H[j] + k));
-        }
-        g[j] *= scale;
-    }
-}
-
-/* C = L^-1, of [Z L']. */
-static void whiten(double H[N_U][LD_XU], double C[N_U][N_U])
-{
-    for (int j = 0; j < N_U; ++j) {
-        C[j][j] = 1.0 / H[j][N_X + j];
-    }
-    for (int j = 0; j < N_U; ++j) {
-        for (int i = j + 1; i < N_U; ++i) {
-            double entry = 0.0;
-            for (int k = j; k < i; ++k) {
-                entry -= H[k][N_X + i] * C[k][j];
-            }
-            C[i][j] = entry * C[i][i];
-        }
-    }
-}
-
-/* Take away what the inputs save: P - Z' Z, p - Z' z. */
-static void reduce(interval *at, const double *g, value_function *to)
-{
-    const coefficients Z = {at->Z[0], 1, LD_X}, z = {at->z, 0, 1};
-    const beginning before = {to->P[0], LD_X, 1.0};
-    double minus_Z[N_U][LD_X];
-    for (int i = 0; i < N_U; ++i) {
-        for (int j = 0; j < LD_X; j += VEC) {
-            store(minus_Z[i] + j, -load(at->Z[i] + j));
-        }
-    }
-    combine_lower(0, N_X, N_U, Z, minus_Z[0], LD_X, before, to->P[0], LD_X);
-    memcpy(to->p, g, sizeof to->p);
-    combine(1, LD_X, N_U, z, minus_Z[0], LD_X, to->p, LD_X);
-}
-
-static void mirror_block(value_function *to, int first, int last)
-{
-    UNROLL for (int block = 0; block < PADDED(N_X); block += VEC)
-    {
-        const int start = block > first ? block : first, behind = block + VEC;
-        const int end = behind < last ? behind : last;
-        for (int r = start; r < end; ++r) {
-            for (int k = behind; k < last; ++k) {
-                to->P[r][k] = to->P[k][r];
-            }
-        }
-    }
-}
-
-static void mirror(value_function *to)
-{
-    mirror_block(to, 0, BODY);
-    mirror_block(to, BODY, N_X);
-}
+#include "riccati.h"
 
 void gtmr_riccati_factorise(gtmr_controller *c)
 {
-    value_function to_go;
-    hessian H;
-    double g[LD_XU];
-    at_the_end(c, &to_go, &H);
+    ALIGNED value_function to_go;
+    ALIGNED hessian H;
+    ALIGNED double g[LD_XU];
+    weigh(c, &H);
+    at_the_end(c, &to_go);
     for (int i = STAGES - 1; i >= 0; --i) {
-        interval *at = &c->intervals[i];
-        carry_back(c, at, &to_go, &H);
+        const interval *stage = &c->intervals[i];
+        law *at = &c->laws[i];
+        carry_back(c, stage, &to_go, &H);
         gradient(c, i, &to_go, g);
-        input_rows(at, &H);
+        input_rows(stage, &H);
         eliminate(H.of_input, g + N_X);
-        state_rows(at, &H, to_go.P);
+        state_rows(stage, &H, to_go.P);
         for (int r = 0; r < N_U; ++r) {
             memcpy(at->Z[r], H.of_input[r], N_X * sizeof(double));
         }
@@ -250,11 +37,14 @@ void gtmr_riccati_factorise(gtmr_controller *c)
         whiten(H.of_input, at->whitening);
         reduce(at, g, &to_go);
         mirror(&to_go);
+        if (i % CHECKPOINT == 0) {
+            copy_value(&to_go, &c->to_go[i]);
+        }
     }
 }
 
 /* K = -C' Z. */
-void gtmr_riccati_gain(const interval *at, double K[N_U][LD_X])
+void gtmr_riccati_gain(const law *at, double K[N_U][LD_X])
 {
     double C[N_U][N_U];
     for (int r = 0; r < N_U; ++r) {
@@ -265,90 +55,4 @@ void gtmr_riccati_gain(const interval *at, double K[N_U][LD_X])
     memset(K, 0, N_U * sizeof K[0]);
     const coefficients by = {C[0], N_U, 1};
     combine(N_U, LD_X, N_U, by, at->Z[0], LD_X, K[0], LD_X);
-}
-
-void gtmr_riccati_rollout(gtmr_controller *c, const double *dx0, const double *v)
-{
-    memset(c->step, 0, sizeof c->step);
-    memcpy(c->step[0], dx0, N_X * sizeof(double));
-    for (int i = 0; i < STAGES; ++i) {
-        const interval *at = &c->intervals[i];
-        double *now = c->step[i], *next = c->step[i + 1], du[N_U], free[N_U];
-        for (int r = 0; r < N_U; ++r) {
-            free[r] = (v != NULL ? v[i * N_U + r] : 0.0) - at->z[r] - dot(at->Z[r], now, LD_X);
-        }
-        for (int r = 0; r < N_U; ++r) {
-            du[r] = 0.0;
-            for (int k = r; k < N_U; ++k) {
-                du[r] += at->whitening[k][r] * free[k];
-            }
-        }
-        memcpy(now + N_X, du, sizeof du);
-        for (int r = 0; r < BODY; ++r) {
-            next[r] = at->defect[r] + dot(at->jacobian[r], now, LD_XU);
-        }
-        for (int r = 0; r < N_U; ++r) {
-            next[BODY + r] = at->defect[BODY + r] + now[BODY + r] + PERIOD_S * du[r];
-        }
-    }
-}
-
-/* The input of a stage by the policy: du = C' (v - z - Z dx). */
-static void policy(const interval *at, const double *dx, const double *v, double *du)
-{
-    double free[N_U];
-    for (int r = 0; r < N_U; ++r) {
-        free[r] = v[r] - at->z[r] - dot(at->Z[r], dx, LD_X);
-    }
-    for (int r = 0; r < N_U; ++r) {
-        du[r] = 0.0;
-        for (int k = r; k < N_U; ++k) {
-            du[r] += at->whitening[k][r] * free[k];
-        }
-    }
-}
-
-/* The state after a stage, of its state and input. */
-static void advance(const interval *at, const double *now, double *next)
-{
-    for (int r = 0; r < BODY; ++r) {
-        next[r] = at->defect[r] + dot(at->jacobian[r], now, LD_XU);
-    }
-    for (int r = 0; r < N_U; ++r) {
-        next[BODY + r] = at->defect[BODY + r] + now[BODY + r] + PERIOD_S * now[N_X + r];
-    }
-}
-
-static double between(double value, double low, double high)
-{
-    return value < low ? low : value > high ? high : value;
-}
-
-/*
- * Cut the inputs of a stage so that they and the next speeds keep their bounds. Any speed that
- * `bound_rotor` asks for is in reach, so that stage by stage there is an input for it.
- */
-static void keep_within(const gtmr_controller *c, int stage, double *now)
-{
-    for (int r = 0; r < N_U; ++r) {
-        const int input = row_of(stage, r), speed = row_of(stage, N_U + r);
-        const double xi = c->x[stage][BODY + r] + now[BODY + r];
-        double u = c->u[stage][r] + now[N_X + r];
-        u = between(u, (c->lower[speed] - xi) / PERIOD_S, (c->upper[speed] - xi) / PERIOD_S);
-        u = between(u, c->lower[input], c->upper[input]);
-        now[N_X + r] = u - c->u[stage][r];
-    }
-}
-
-void gtmr_riccati_rollout_within(gtmr_controller *c, const double *dx0, const double *v)
-{
-    memset(c->step, 0, sizeof c->step);
-    memcpy(c->step[0], dx0, N_X * sizeof(double));
-    for (int i = 0; i < STAGES; ++i) {
-        const interval *at = &c->intervals[i];
-        double *now = c->step[i], *next = c->step[i + 1];
-        policy(at, now, v + i * N_U, now + N_X);
-        keep_within(c, i, now);
-        advance(at, now, next);
-    }
 }

@@ -25,9 +25,12 @@ typedef double vec __attribute__((vector_size(8 * VEC), may_alias));
 /* As it stands in a row, which may start anywhere. For memory alone: a variable of this type may
  * leave the stack less aligned than GCC 12 takes it to be. */
 typedef double vec_in_row __attribute__((vector_size(8 * VEC), aligned(8), may_alias));
+/* Of what begins at a register's alignment, so that its rows do not straddle lines of the cache. */
+#define ALIGNED __attribute__((aligned(8 * VEC)))
 #else
 #define VEC 1
 typedef double vec, vec_in_row;
+#define ALIGNED
 #endif
 
 /* Length of a row of n doubles, filled up to whole registers. */

@@ -41,16 +41,47 @@ enum {
     PLAN_LENGTH = PLAN_NOTES + 3
 };
 
-/* One shooting interval: its linearisation and its part of the Riccati factorisation. */
+/* One shooting interval, linearised. */
 typedef struct {
-    double jacobian[N_H][LD_XU]; /* [A B], rows of the body, then of the acceleration */
+    ALIGNED double jacobian[N_H][LD_XU]; /* [A B], rows of the body, then of the acceleration */
     double dF_dzeta[BODY][LD_ZETA];
     double defect[LD_X];
     double acceleration[3];
-    double Z[N_U][LD_X];          /* du = C' (v - z - Z dx) */
-    double z[N_U];
-    double whitening[N_U][N_U];   /* C = L^-1, with L L' the Hessian of du */
 } interval;
+
+/*
+ * How an input is determined: freely, or at a bound of its own or of the rotor's next speed. Where
+ * inputs at their bounds lead to the very bound of a speed, a corner, the last input before them
+ * is what leads there: TO_CORNER. Negative: at lower bounds, or to one of a speed.
+ */
+enum { FREE = 0, AT_INPUT = 1, AT_SPEED = 2, TO_CORNER = 3 };
+
+/* Stages between two of which the cost to go is kept. */
+enum { CHECKPOINT = 8 };
+
+/* The law of a stage, of the Riccati recursion; which inputs are held goes for it and those after. */
+typedef struct {
+    ALIGNED double Z[N_U][LD_X]; /* of free inputs: du = C' (v - z - Z dx) */
+    double z[N_U];
+    double whitening[N_U][N_U]; /* C = L^-1, with L L' the Hessian of du */
+    double offset[N_U];         /* of held inputs: du = offset + slope dxi of the rotor */
+    double slope[N_U];
+} law;
+
+/* Rows of all inputs of the Hessian of stage cost plus cost to go, and of its gradient at 0. */
+typedef struct {
+    ALIGNED double Q[N_U][LD_XU];
+    double q[N_U];
+} input_cost;
+
+/*
+ * Cost to go, x' P x / 2 + p' x. P is symmetric: computed are the registers up to the diagonal;
+ * `mirror` adds what is read beyond them, inside the blocks of the body and of the rotors.
+ */
+typedef struct {
+    double P[N_X][LD_X];
+    double p[LD_X];
+} value_function;
 
 /* The clearance constraint at a stage. */
 typedef struct {
@@ -81,7 +112,7 @@ typedef struct {
     int count;
     int settled; /* so many rows, from the first on, hold with equality */
     active_row member[MAX_ACTIVE];
-    double factor[MAX_ACTIVE][LD_ACTIVE];
+    ALIGNED double factor[MAX_ACTIVE][LD_ACTIVE];
     double inverse_diagonal[MAX_ACTIVE];
 } working_set;
 
@@ -144,22 +175,36 @@ struct gtmr_controller {
     int end_is_open;           /* whether x[STAGES] is to follow from the stage before it */
     double multiplier[N_ROWS]; /* where the active set starts from */
     interval intervals[STAGES];
+    law laws[STAGES];      /* with all inputs free */
+    law held_laws[STAGES]; /* of the first `held_stages`, with some held */
+    input_cost input_costs[STAGES];
+    int held_stages;
+    signed char held[STAGES][N_U];
+    int corner[STAGES][N_U];        /* to which stage's, where held TO_CORNER */
+    signed char swaps[STAGES][N_U]; /* between AT_INPUT and AT_SPEED */
+    /* Of held_laws; behind them, at multiples of CHECKPOINT, of laws. */
+    ALIGNED value_function to_go[STAGES];
     clearance clearances[STAGES + 1];
     double Pi[STAGES + 1][BODY][LD_ZETA]; /* eq. (8); rotor speeds do not depend on zeta */
     double cost_gradient[STAGES + 1][N_X];
-    double step[STAGES + 1][LD_XU]; /* [dx du], the step of the iterate */
+    ALIGNED double step[STAGES + 1][LD_XU]; /* [dx du], the step of the iterate */
 
     /* The QP in v, where its cost is |v|^2 / 2: rows, values at v = 0 and bounds. */
-    double rows[N_ROWS][LD_V];
+    ALIGNED double rows[N_ROWS][LD_V];
     double inverse_norm[N_ROWS]; /* 0 for a row that is left out */
     int only_clearances;
     double value[N_ROWS];
     double lower[N_ROWS];
     double upper[N_ROWS];
-    double v[LD_V];
+    ALIGNED double v[LD_V];
     int in_set[N_ROWS];
-    int passes; /* of the active set in this step */
+    int passes;  /* of the active set in this step */
+    int guesses; /* of what is held, in this step; -1 if none was right */
     working_set active;
+
+    /* Rows of one stage after the other, once they were asked for. */
+    int has_margin_gradient[STAGES + 1];
+    ALIGNED double margin_gradient[(STAGES + 1) * (STAGES + 2) / 2][LD_XU];
 
     vec lanes_in[MODEL_LANES_IN];
     vec lanes_out[MODEL_LANES_OUT];
@@ -182,19 +227,34 @@ static const int CLEARANCE_STATE[CLEARANCE_STATES] = {CLEARANCE_STATE_LIST};
 void gtmr_clearance_at(const gtmr_parameters *parameters, const double *x, double *constraint);
 void gtmr_clearance_along_iterate(gtmr_controller *c);
 void gtmr_margin_change_along_step(gtmr_controller *c, double *change);
-void gtmr_margin_gradient(gtmr_controller *c, int stage, double d_x[][N_X], double d_u[][N_U]);
+/* Gradient of a stage's alpha_p in [x u] of the stages 0 to its own, u of the last being zero. */
+const double (*gtmr_margin_gradient(gtmr_controller *c, int stage))[LD_XU];
 
-/* riccati.c */
+/* riccati.c: the laws of all stages; with inputs held, if what is held changed up to a stage. */
 void gtmr_riccati_factorise(gtmr_controller *c);
-void gtmr_riccati_gain(const interval *at, double K[N_U][LD_X]); /* of du = K dx + k + C' v */
-void gtmr_riccati_rollout(gtmr_controller *c, const double *dx0, const double *v);
-/* The same with every input cut to what the bounds of rotors leave. */
-void gtmr_riccati_rollout_within(gtmr_controller *c, const double *dx0, const double *v);
+void gtmr_riccati_factorise_held(gtmr_controller *c, int last_change);
+void gtmr_riccati_gain(const law *at, double K[N_U][LD_X]); /* of du = K dx + k + C' v */
+
+/* rollout.c: the step that the laws make; v may be NULL. */
+void gtmr_rollout(gtmr_controller *c, const double *dx0, const double *v);
+/* The same with all inputs free, but cut to what the bounds of rotors leave. */
+void gtmr_rollout_within(gtmr_controller *c, const double *dx0, const double *v);
+/* The input of a stage, whose part of v it takes, and the state after it. */
+void gtmr_law_input(const law *at, const double *dx, const double *v, double *du);
+void gtmr_advance(const interval *at, const double *now, double *next);
 
 /* condense.c: the rows of the inequalities in v; of the clearances alone, the others being as
  * good as absent. */
 void gtmr_condense(gtmr_controller *c);
 void gtmr_condense_clearances(gtmr_controller *c);
+/* What the last multipliers of the clearances add to the gradients of the inputs. */
+void gtmr_clearance_forces(gtmr_controller *c, double forces[STAGES][N_U]);
+
+/* pivoting.c: the whole QP by its structure; 0 if it does not settle, after `guesses`. */
+int gtmr_pivot(gtmr_controller *c, const double *dx0);
+
+/* controller.c: the tightened clearances of stages 1 to N after the step [m]. */
+void gtmr_clearances_along_step(gtmr_controller *c, double *along);
 
 /* working_set.c */
 
@@ -229,6 +289,10 @@ void gtmr_setpoints(const gtmr_controller *c, double setpoints[][N_U]);
 /* step.c: note that preparation is done. */
 void gtmr_note_prepared(gtmr_controller *c);
 
+/* violations.c: by how much rows outside the working set are violated, scaled, negative below their
+ * bounds; of the clearances alone if only they count. Returns the worst row, -1 if all hold. */
+int gtmr_violations(const gtmr_controller *c, double *violation);
+
 /* active_set.c: 0 if solved; otherwise v is that of the multipliers so far, and breaks rows. */
 int gtmr_active_set_solve(gtmr_controller *c);
 
@@ -240,6 +304,22 @@ static inline int is_robust(const gtmr_controller *c)
 static inline int with_margin_gradient(const gtmr_controller *c)
 {
     return is_robust(c) && c->parameters.with_margin_gradient != 0.0;
+}
+
+static inline const law *law_of(const gtmr_controller *c, int stage)
+{
+    return stage < c->held_stages ? &c->held_laws[stage] : &c->laws[stage];
+}
+
+/* Rows that count: from the first on, so many apart. */
+static inline int first_row(const gtmr_controller *c)
+{
+    return c->only_clearances ? CLEARANCE : 0;
+}
+
+static inline int row_stride(const gtmr_controller *c)
+{
+    return c->only_clearances ? STAGE_ROWS : 1;
 }
 
 static inline int row_of(int stage, int which)
