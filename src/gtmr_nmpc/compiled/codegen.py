@@ -137,7 +137,7 @@ def _model(config: ControllerConfig) -> dict[str, str]:
 
 
 def require_structure(jacobian: ca.Sparsity) -> None:
-    """Refuse a model whose [A B] has entries that ``riccati.c`` takes as zero.
+    """Refuse a model whose [A B] has entries that ``riccati.h`` takes as zero.
 
     Body rates depend on nothing of the body but themselves, the acceleration neither on rates nor
     on inputs. Raises ValueError otherwise: the QP would be another one without a word.
@@ -151,7 +151,7 @@ def require_structure(jacobian: ca.Sparsity) -> None:
     wrong |= acceleration & (columns >= n_x)
     if wrong.any():
         places = sorted(set(zip(rows[wrong].tolist(), columns[wrong].tolist(), strict=True)))
-        raise ValueError(f"d(F, acceleration)/d(x, u) has entries at {places}: see riccati.c")
+        raise ValueError(f"d(F, acceleration)/d(x, u) has entries at {places}: see riccati.h")
 
 
 def _places(sparsity: ca.Sparsity) -> str:
