@@ -89,3 +89,20 @@ def test_a_flight_at_the_constraint_needs_none():
         status.add(controller.step(t, x).status)
         assert made.guesses == 0
     assert status == {"solved"}
+
+
+def test_one_preparation_is_good_for_several_states(recoveries):
+    """Feedback leaves what preparation found as it was."""
+    config = ControllerConfig()
+    hover = config.helix.initial_state(config.tower, config.vehicle)
+    once, again = CompiledIteration(config), CompiledIteration(config)
+    mild = hover - np.r_[0.2, np.zeros(17)]
+    for _, hard in recoveries[::40]:
+        for made in (once, again):
+            made.cold(hover)
+            made.prepare(0.0, 0.0)
+        assert again.feedback(hard).status != "failed"
+        assert again.guesses > 1
+        first, second = once.feedback(mild), again.feedback(mild)
+        assert again.guesses > 0
+        np.testing.assert_allclose(second.u_plan, first.u_plan, atol=1e-6)

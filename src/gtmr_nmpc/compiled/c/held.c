@@ -49,6 +49,19 @@ static void substitute(const law *at, const signed char *held, double H[N_U][LD_
     }
 }
 
+/* The cost to go behind a stage, which is where what is held ends, or was left by the last guess. */
+static void begin_behind(const gtmr_controller *c, int stage, value_function *to)
+{
+    const int behind = stage + 1;
+    if (behind == STAGES) {
+        at_the_end(c, to);
+    } else if (behind < c->held_stages) {
+        copy_value(&c->to_go[behind], to);
+    } else {
+        copy_value(&c->checkpoints[behind / CHECKPOINT], to);
+    }
+}
+
 void gtmr_riccati_factorise_held(gtmr_controller *c, int last_change)
 {
     ALIGNED value_function to_go;
@@ -61,11 +74,7 @@ void gtmr_riccati_factorise_held(gtmr_controller *c, int last_change)
         from = c->held_stages - 1;
     }
     weigh(c, &H);
-    if (from == STAGES - 1) {
-        at_the_end(c, &to_go);
-    } else {
-        copy_value(&c->to_go[from + 1], &to_go);
-    }
+    begin_behind(c, from, &to_go);
     for (int i = from; i >= 0; --i) {
         const interval *stage = &c->intervals[i];
         const signed char *held = c->held[i];

@@ -38,7 +38,7 @@ void gtmr_riccati_factorise(gtmr_controller *c)
         reduce(at, g, &to_go);
         mirror(&to_go);
         if (i % CHECKPOINT == 0) {
-            copy_value(&to_go, &c->to_go[i]);
+            copy_value(&to_go, &c->checkpoints[i / CHECKPOINT]);
         }
     }
 }

@@ -182,8 +182,9 @@ struct gtmr_controller {
     signed char held[STAGES][N_U];
     int corner[STAGES][N_U];        /* to which stage's, where held TO_CORNER */
     signed char swaps[STAGES][N_U]; /* between AT_INPUT and AT_SPEED */
-    /* Of held_laws; behind them, at multiples of CHECKPOINT, of laws. */
-    ALIGNED value_function to_go[STAGES];
+    ALIGNED value_function to_go[STAGES]; /* of held_laws */
+    /* Of laws, at multiples of CHECKPOINT. */
+    ALIGNED value_function checkpoints[(STAGES - 1) / CHECKPOINT + 1];
     clearance clearances[STAGES + 1];
     double Pi[STAGES + 1][BODY][LD_ZETA]; /* eq. (8); rotor speeds do not depend on zeta */
     double cost_gradient[STAGES + 1][N_X];
