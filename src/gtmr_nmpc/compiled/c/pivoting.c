@@ -12,8 +12,8 @@
  * speed is at its bound. With that guess the recursion gives laws of feedback, the clearances are
  * solved by the active set, and a forward pass solves every stage's inputs within their bounds,
  * the stages behind it following their laws. What it finds is the next guess. Where it finds the
- * guess itself, all conditions of optimality hold. A few guesses suffice, but for rare QPs
- * which are left to the active set.
+ * guess itself, all conditions of optimality hold. A few guesses suffice but for rare QPs, which
+ * are left to the active set.
  */
 #include <string.h>
 
@@ -64,9 +64,9 @@ static void cut(const stage_bounds *within, stage_solution *s)
 
 /* Corners on the way forward, by rotor. */
 typedef struct {
-    int from[N_U];      /* the stage that leads there */
-    int at[N_U];        /* the stage of the corner, NONE if there is none ahead */
-    double pull[N_U];   /* by which its speed pulls at every input on the way */
+    int from[N_U];    /* the stage that leads there */
+    int at[N_U];      /* the stage of the corner, NONE if there is none ahead */
+    double pull[N_U]; /* by which its speed pulls at every input on the way */
 } corners;
 
 /* Whether a rotor swaps between the bounds of its input and speed: it is at both then. */
@@ -79,8 +79,8 @@ static int swaps_again(gtmr_controller *c, int stage, int rotor, int held)
 }
 
 /*
- * Go on along the way to a corner, if the rotor is on one. What is found for an input may end it: a multiplier of the
- * speed that has the wrong sign, an input that leaves its bound.
+ * Go on along the way to a corner, if the rotor is on one. What is found for an input may end it:
+ * a multiplier of the speed that has the wrong sign, an input that leaves its bound.
  */
 static signed char on_the_way(gtmr_controller *c, int stage, int rotor, signed char held,
                               double multiplier, corners *to)
