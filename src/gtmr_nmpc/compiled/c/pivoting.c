@@ -31,6 +31,9 @@
 /* Swaps between two bounds after which a rotor is taken to be at both. */
 enum { SWAPS = 3 };
 
+/* What is held, of all stages. */
+typedef signed char guess[STAGES][N_U];
+
 /* Whether a law's inputs keep all bounds. */
 static int keeps(const stage_bounds *within, const double *du)
 {
@@ -219,9 +222,36 @@ static int solve_clearances(gtmr_controller *c, const double *dx0, double forces
     return 1;
 }
 
+/*
+ * Of what changed since a guess, let only the first input change: two that change together may each
+ * be what the other changes for, and go round in a circle. Returns its stage.
+ */
+static int change_one(gtmr_controller *c, const guess last)
+{
+    int stage = NONE, rotor = 0;
+    for (int i = STAGES - 1; i >= 0; --i) {
+        for (int r = N_U - 1; r >= 0; --r) {
+            const int now = c->held[i][r], was = last[i][r];
+            /* The inputs on the way to a corner belong together. */
+            if (now != was && (leads(now) || leads(was))) {
+                return STAGES - 1;
+            }
+            if (now != was) {
+                stage = i;
+                rotor = r;
+            }
+        }
+    }
+    const signed char changed = c->held[stage][rotor];
+    memcpy(c->held, last, sizeof c->held);
+    c->held[stage][rotor] = changed;
+    return stage;
+}
+
 int gtmr_pivot(gtmr_controller *c, const double *dx0)
 {
     double forces[STAGES][N_U];
+    guess last = {{0}}, before = {{0}};
     int last_change = gtmr_first_guess(c);
     for (c->guesses = 1; c->guesses <= GTMR_MAX_GUESSES; ++c->guesses) {
         if (last_change != NONE) {
@@ -231,9 +261,14 @@ int gtmr_pivot(gtmr_controller *c, const double *dx0)
         if (!solve_clearances(c, dx0, forces)) {
             return 0;
         }
+        memcpy(before, last, sizeof last);
+        memcpy(last, c->held, sizeof last);
         last_change = forward(c, dx0, forces);
         if (last_change == NONE) {
             return 1;
+        }
+        if (c->guesses > 1 && memcmp(c->held, before, sizeof before) == 0) {
+            last_change = change_one(c, last);
         }
     }
     return 0;
