@@ -226,7 +226,7 @@ static int solve_clearances(gtmr_controller *c, const double *dx0, double forces
  * Of what changed since a guess, let only the first input change: two that change together may each
  * be what the other changes for, and go round in a circle. Returns its stage.
  */
-static int change_one(gtmr_controller *c, const guess last)
+static int change_one(gtmr_controller *c, guess last)
 {
     int stage = NONE, rotor = 0;
     for (int i = STAGES - 1; i >= 0; --i) {
