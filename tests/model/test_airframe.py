@@ -104,6 +104,13 @@ def test_constraints_derivatives_are_those_of_finite_differences(pose):
     np.testing.assert_allclose(curvature, bent, atol=1e-4, rtol=1e-5)
 
 
+@given(poses(0.6))
+def test_the_centres_value_is_that_of_the_function_its_gradient_comes_from(pose):
+    y, gradient, _ = CENTRE.function(pose[:3], TOWER.numbers, np.zeros(3))
+    assert CENTRE.residual(pose[None], TOWER)[0] == pytest.approx(float(y), abs=1e-12)
+    np.testing.assert_array_equal(CENTRE.gradient(pose[None]), np.asarray(gradient))
+
+
 def test_constraint_does_not_depend_on_the_height():
     assert airframe_constraint(PAPER).states == (0, 1, 3, 4, 5)
     assert CENTRE.states == (0, 1)
