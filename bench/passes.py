@@ -193,6 +193,9 @@ def main() -> None:
     parser.add_argument("--qps", type=int, default=1_000_000)
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     given = parser.parse_args()
+    for name in ("qps", "workers"):
+        if getattr(given, name) < 1:
+            parser.error(f"--{name} {getattr(given, name)}: allowed is 1 or more")
     starts = -(-given.qps // QPS_A_START)
     parts = [range(first, min(first + 1000, starts)) for first in range(0, starts, 1000)]
     CompiledIteration(ControllerConfig())  # compiled before the workers ask for it
