@@ -110,7 +110,7 @@ def main() -> None:
     parser.add_argument("--rate", type=int, default=40, help="steps of the controller [Hz]")
     parser.add_argument("--horizon", type=int, default=20, help="stages N")
     given = parser.parse_args()
-    for name, least in (("minutes", 0.1), ("rate", 1), ("horizon", 2)):
+    for name, least in (("minutes", 0.01), ("rate", 1), ("horizon", 2)):
         if not getattr(given, name) >= least:
             parser.error(f"--{name} {getattr(given, name)}: allowed is {least} or more")
     os.environ.update(ros_environment())
