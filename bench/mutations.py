@@ -35,13 +35,13 @@ FUZZ = "tests/fuzz/test_fuzz.py::test_"
 MUTATIONS = [
     # File, text, what it becomes, test that fails.
     (
-        f"{C}/controller.c",
+        f"{C}/feedback.c",
         "return breaks_rotor_limits(c, LIMIT_TOLERANCE_HZ_S, LIMIT_TOLERANCE_HZ);",
         "return 0;",
         COMPILED + "a_plan_that_is_called_solved_keeps_the_rotor_limits_from_anywhere",
     ),
     (
-        f"{C}/controller.c",
+        f"{C}/feedback.c",
         "return !breaks_rotor_limits(c, INPUT_ROUNDING, SPEED_ROUNDING);",
         "return 1;",
         COMPILED + "plans_are_those_of_the_reference_with_qpoases[clearance, frozen]",
@@ -56,18 +56,36 @@ MUTATIONS = [
         f"{C}/active_set.c",
         "? gtmr_compliance(c, a)",
         "? 2.0 * gtmr_compliance(c, a)",
-        COMPILED + "random_problems",
+        COMPILED + "plans_are_those_of_the_reference_with_qpoases",
     ),
     (
         f"{C}/active_set.c",
-        "step == 0.0 && longest == 0.0",
-        "0 && longest == 0.0",
+        "if (changes_sides) {",
+        "if (0 * changes_sides) {",
         PASSES + "clearances_that_are_all_at_their_cap_do_not_go_round_in_circles",
     ),
     (
         f"{C}/held.c",
-        "g[BODY + r] += change;",
-        "(void)change;",
+        "g[BODY + rotor] += slope * g[N_X + rotor];",
+        "(void)g;",
+        GUESSES + "a_few_guesses_solve_what_has_a_hundred_active_rows[nominal-frozen]",
+    ),
+    (
+        f"{C}/pivoting.c",
+        "if (last_change == NONE && !more) {",
+        "if (last_change == NONE) {",
+        GUESSES + "a_clearance_that_did_not_count_at_first_is_kept",
+    ),
+    (
+        f"{C}/feedback.c",
+        "} while (gtmr_count_broken(c, along));",
+        "} while (0);",
+        GUESSES + "a_clearance_that_another_one_breaks_is_kept",
+    ),
+    (
+        f"{C}/condense.c",
+        "add_products(&s->at_zero[i], s->by_input[i], at->offset, LD_U);",
+        "(void)at;",
         GUESSES + "a_few_guesses_solve_what_has_a_hundred_active_rows[nominal-frozen]",
     ),
     (
@@ -102,8 +120,8 @@ MUTATIONS = [
     ),
     (
         f"{C}/riccati.h",
-        "g[N_X + j] = 2.0 *",
-        "g[N_X + j] = 1.0 *",
+        "g[N_X + j] += 2.0 *",
+        "g[N_X + j] += 1.0 *",
         COMPILED + "other_vehicles",
     ),
     (

@@ -8,14 +8,15 @@
 
 """The QP by guesses of what is at the rotors' bounds, against the same QP by its rows alone."""
 
-from contextlib import contextmanager
-
 import numpy as np
 import pytest
+from support.hard_flights import random_starts
+from support.rows_alone import without_guesses
 
 from gtmr_nmpc import Controller, ControllerConfig
-from gtmr_nmpc.compiled import codegen, iteration
 from gtmr_nmpc.compiled.iteration import CompiledIteration
+from gtmr_nmpc.config import Weights
+from gtmr_nmpc.reference.interpreted import InterpretedIteration
 from gtmr_study.solvers.situations import in_flight, record_situations
 
 MODES = (("nominal", "frozen"), ("robust", "frozen"), ("robust", "gradient"))
@@ -44,17 +45,6 @@ def flown(config, mode, steps):
     return plans, guesses
 
 
-@contextmanager
-def without_guesses():
-    """Make controllers that leave every QP to its rows."""
-    iteration._library.cache_clear()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(codegen, "WRITTEN_FLAGS", ("-O1", "-DGTMR_MAX_GUESSES=0"))
-        patch.setattr(codegen, "GENERATED_FLAGS", ("-O1",))
-        yield
-    iteration._library.cache_clear()
-
-
 @pytest.mark.parametrize(("mode", "tightening"), MODES)
 def test_a_few_guesses_solve_what_has_a_hundred_active_rows(recoveries, mode, tightening):
     plans, guesses = flown(ControllerConfig(tightening=tightening), mode, recoveries)
@@ -78,6 +68,60 @@ def test_they_find_what_the_rows_alone_find(recoveries, mode, tightening):
         assert one.status == other.status
         np.testing.assert_allclose(one.u_plan, other.u_plan, atol=1e-6)
         np.testing.assert_allclose(one.slack, other.slack, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("mode", "tightening", "start"),
+    [("nominal", "frozen", 502), ("robust", "frozen", 160), ("robust", "gradient", 160)],
+)
+def test_a_clearance_that_did_not_count_at_first_is_kept(mode, tightening, start):
+    """On the fourth step, one that all guesses but the last keep."""
+    config = ControllerConfig(tightening=tightening)
+    x = random_starts(config, start + 1)[-1]
+    with without_guesses():
+        controller = Controller(config, mode, CompiledIteration(config))
+        states, by_rows = [x], []
+        for k in range(4):
+            by_rows.append(controller.step(0.025 * k, states[-1]))
+            states.append(by_rows[-1].x_plan[1])
+    steps = [(0.025 * k, state) for k, state in enumerate(states[:4])]
+    by_guesses, guesses = flown(config, mode, steps)
+    assert guesses[-1] > 0
+    for one, other in zip(by_rows, by_guesses, strict=True):
+        assert one.status == other.status
+        np.testing.assert_allclose(one.u_plan, other.u_plan, atol=1e-6)
+        np.testing.assert_allclose(one.slack, other.slack, atol=1e-8)
+
+
+class AtEveryStage:
+    """A margin that leaves no room but a hair, and at one stage takes some more."""
+
+    def __init__(self, room_m):
+        self.alpha_m = room_m - 1e-6
+        self.alpha_m[8] += 0.002
+
+    def tightening(self, _):
+        return self.alpha_m
+
+
+def test_a_clearance_that_another_one_breaks_is_kept():
+    """No limit of a rotor matters. Who is pushed out at one stage swings back further in."""
+    light = (0.01, 0.01, 0.01)
+    swinging = {"position": (5e3, 5e3, 5e3), "velocity": light, "acceleration": light}
+    config = ControllerConfig(weights=Weights(**swinging, rotor_acceleration=1e-5))
+    x = config.helix.initial_state(config.tower, config.vehicle)
+    free = Controller(config, "nominal").step(0.0, x)
+    outwards = x[:2] / np.hypot(*x[:2])
+    room_m = -config.tower.residual(x) + (free.x_plan[:, :2] - x[:2]) @ outwards
+    margin = AtEveryStage(room_m)
+    made, other = CompiledIteration(config), InterpretedIteration(config)
+    plan = Controller(config, "robust", made, margin=margin).step(0.0, x)
+    expected = Controller(config, "robust", other, margin=margin).step(0.0, x)
+    assert made.guesses == 0
+    assert plan.status == expected.status
+    assert np.abs(expected.u_plan - free.u_plan).max() > 1.0
+    np.testing.assert_allclose(plan.u_plan, expected.u_plan, atol=1e-6)
+    np.testing.assert_allclose(plan.slack, expected.slack, atol=1e-9)
 
 
 def test_a_flight_at_the_constraint_needs_none():

@@ -72,13 +72,15 @@ def test_hard_random_qps_are_solved_with_passes_to_spare(hard):
             if qp.result.status != "failed":
                 assert beyond_limits(vehicle, qp.result, qp.xi) < 1e-6
     assert statuses["solved"] + statuses["softened"] > 1990
-    assert 100 < most < hard.MAX_PASSES / 2
+    assert 50 < most < hard.MAX_PASSES / 2
 
 
-@pytest.mark.parametrize("number", [807, 2134, 8616, 9622])
+@pytest.mark.parametrize("number", [2134, 8616, 9622, 171220])
 def test_clearances_that_are_all_at_their_cap_do_not_go_round_in_circles(hard, number):
-    for qp in hard.HardQps().from_start(number):
-        assert qp.result.status in ("solved", "softened")
+    qps = list(hard.HardQps().from_start(number))
+    assert {qp.result.status for qp in qps} <= {"solved", "softened"}
+    # The step after a cold start, whose slack was large; where they change sides one by one, 753.
+    assert qps[1].passes < 18
 
 
 @pytest.mark.parametrize("mode", ["nominal", "robust"])

@@ -134,3 +134,15 @@ SITUATIONS = {
         active=("inputs", "clearances", "slacks"),
     ),
 }
+
+
+def random_starts(config, count):
+    """States from inside the wall to far off, fast, with rotors within their limits and beyond."""
+    rng = np.random.default_rng(5)
+    starts = np.tile(config.helix.initial_state(config.tower, config.vehicle), (count, 1))
+    for x in starts:
+        x[:3] += rng.uniform(-0.4, 0.6, 3)
+        x[3:5] += rng.uniform(-0.3, 0.3, 2)
+        x[6:12] += rng.uniform(-1.0, 1.0, 6)
+        x[12:] = rng.uniform(0.0, 120.0, 6)
+    return starts

@@ -125,11 +125,11 @@ def _model(config: ControllerConfig) -> dict[str, str]:
 /* h, eq. (6): the state that an output is, or none, and then it is an acceleration. */
 #define OUTPUT_STATES {_output_states(config)}
 
-/* Where the nonzeros go, in rows of ld entries. */
+/* Which nonzero goes where, in rows of ld entries, row by row. */
 #define JACOBIAN_NONZEROS {jacobian.nnz()}
-#define JACOBIAN_PLACES(ld) {_places(jacobian)}
+#define JACOBIAN_MOVES(ld) {_moves(jacobian)}
 #define DF_DZETA_NONZEROS {dF_dzeta.nnz()}
-#define DF_DZETA_PLACES(ld) {_places(dF_dzeta)}
+#define DF_DZETA_MOVES(ld) {_moves(dF_dzeta)}
 
 #endif
 """
@@ -154,9 +154,10 @@ def require_structure(jacobian: ca.Sparsity) -> None:
         raise ValueError(f"d(F, acceleration)/d(x, u) has entries at {places}: see riccati.h")
 
 
-def _places(sparsity: ca.Sparsity) -> str:
+def _moves(sparsity: ca.Sparsity) -> str:
     rows, columns = sparsity.get_triplet()
-    return ", ".join(f"{r} * (ld) + {c}" for r, c in zip(rows, columns, strict=True))
+    moves = sorted(zip(rows, columns, range(sparsity.nnz()), strict=True))
+    return ", ".join(f"{{{k}, {r} * (ld) + {c}}}" for r, c, k in moves)
 
 
 def _linearise(

@@ -15,8 +15,11 @@
 #if defined(__GNUC__)
 #define UNROLLED static inline __attribute__((always_inline))
 #define UNROLL _Pragma("GCC unroll 16")
+/* Of what is known when compiling: its indices become constants. */
+#define UNROLL_ALL _Pragma("GCC unroll 1024")
 #else
 #define UNROLL
+#define UNROLL_ALL
 #define UNROLLED static inline
 #endif
 
@@ -36,10 +39,36 @@ typedef struct {
     double scale;
 } beginning;
 
+/* One row alone, of which each sum would wait for itself: its even and its odd terms. */
+UNROLLED void combine_one(int vecs, int terms, coefficients by, const double *in, ptrdiff_t ld_in,
+                          beginning from, double *out)
+{
+    vec even[TILE_VECS], odd[TILE_VECS];
+    for (int c = 0; c < vecs; ++c) {
+        even[c] = from.scale * load(from.at + c * VEC);
+        odd[c] = vec_of(0.0);
+    }
+    for (int k = 0; k < terms; k += 2) {
+        for (int c = 0; c < vecs; ++c) {
+            even[c] += by.at[k * by.term] * load(in + k * ld_in + c * VEC);
+            if (k + 1 < terms) {
+                odd[c] += by.at[(k + 1) * by.term] * load(in + (k + 1) * ld_in + c * VEC);
+            }
+        }
+    }
+    for (int c = 0; c < vecs; ++c) {
+        store(out + c * VEC, even[c] + odd[c]);
+    }
+}
+
 UNROLLED void combine_tile(int rows, int vecs, int terms, coefficients by, const double *in,
                            ptrdiff_t ld_in, beginning from, double *out, ptrdiff_t ld_out)
 {
     vec total[MOST_ROWS][TILE_VECS];
+    if (rows == 1) {
+        combine_one(vecs, terms, by, in, ld_in, from, out);
+        return;
+    }
     for (int r = 0; r < rows; ++r) {
         for (int c = 0; c < vecs; ++c) {
             total[r][c] = from.scale * load(from.at + r * from.ld + c * VEC);

@@ -57,72 +57,150 @@ static void advance_body(const gtmr_controller *c, int stage, response of)
     }
 }
 
-/* Row of the clearance one stage on, by its position, with attitude and margin held. */
-static void clearance_row(gtmr_controller *c, int stage, response of)
-{
-    double *row = c->rows[row_of(stage, CLEARANCE)];
-    const double *gradient = c->clearances[stage + 1].gradient;
-    const int length = PADDED((stage + 1) * N_U);
-    memset(row, 0, length * sizeof(double));
-    add_scaled(row, gradient[0], of[0], length);
-    add_scaled(row, gradient[1], of[1], length);
-}
-
-/* By how much the state and the input of a stage count, of how much the state after it does. */
-static void carry_back(const interval *at, const double *later, double *back)
-{
-    for (int j = 0; j < N_U; ++j) {
-        back[BODY + j] += later[BODY + j];
-        back[N_X + j] += PERIOD_S * later[BODY + j];
-    }
-    const coefficients body = {later, 0, 1};
-    combine(1, LD_XU, BODY, body, at->jacobian[0], LD_XU, back, LD_XU);
-}
-
-/*
- * Entries of a row by the stage's v, and by how much its state counts with the inputs following
- * their law.
- */
-static void close_loop(const law *at, const double *back, double *row, double *costate)
-{
-    double minus[N_U];
-    for (int r = 0; r < N_U; ++r) {
-        double entry = 0.0;
-        for (int k = 0; k <= r; ++k) {
-            entry += at->whitening[r][k] * back[N_X + k];
-        }
-        row[r] += entry;
-        minus[r] = -entry;
-    }
-    memcpy(costate, back, N_X * sizeof(double));
-    for (int r = 0; r < N_U; ++r) {
-        costate[BODY + r] += at->slope[r] * back[N_X + r];
-    }
-    const coefficients by = {minus, 0, 1};
-    combine(1, LD_X, N_U, by, at->Z[0], LD_X, costate, LD_X);
-}
-
-/* What the margin's gradient adds to the row of the clearance one stage on. */
-static void add_margin_row(gtmr_controller *c, int stage)
-{
-    const double(*gradient)[LD_XU] = gtmr_margin_gradient(c, stage + 1);
-    double *row = c->rows[row_of(stage, CLEARANCE)], costate[LD_XU];
-    memcpy(costate, gradient[stage + 1], sizeof costate);
-    for (int k = stage; k >= 0; --k) {
-        double back[LD_XU];
-        memcpy(back, gradient[k], sizeof back);
-        carry_back(&c->intervals[k], costate, back);
-        close_loop(law_of(c, k), back, row + k * N_U, costate);
-    }
-}
-
 static void measure_row(gtmr_controller *c, int row)
 {
     const double norm = sqrt(dot(c->rows[row], c->rows[row], row_length(row)));
     c->inverse_norm[row] = norm > 0.0 ? 1.0 / norm : 0.0;
 }
 
-void gtmr_condense(gtmr_controller *c)
+/*
+ * The clearances that count, on the way back through the stages. What is read as whole registers
+ * was written as such: parts the processor would first have to see in memory.
+ */
+typedef struct {
+    ALIGNED double later[STAGES][LD_X];    /* what the state behind a stage does to them */
+    ALIGNED double back[STAGES][LD_XU];    /* what the stage's state and inputs do */
+    ALIGNED double by_input[STAGES][LD_U]; /* the inputs alone */
+    ALIGNED double minus[STAGES][LD_U];    /* what the stage's v does, negative */
+    vec at_zero[STAGES];                   /* where v = 0, as sums of lanes */
+    int stage_of[STAGES];
+    int count;
+} sweep;
+
+/* Add products to what is summed lane by lane. */
+static void add_products(vec *sums, const double *a, const double *b, int length)
+{
+    for (int j = 0; j < length; j += VEC) {
+        *sums += load(a + j) * load(b + j);
+    }
+}
+
+/* The clearance one stage on, with its margin, by its own state. */
+static void begin_row(const gtmr_controller *c, int stage, sweep *s)
+{
+    double *of_state = s->later[s->count];
+    const double *gradient = c->clearances[stage + 1].gradient;
+    memset(of_state, 0, sizeof s->later[0]);
+    if (with_margin_gradient(c)) {
+        memcpy(of_state, gtmr_margin_gradient(c, stage + 1)[stage + 1], N_X * sizeof(double));
+    }
+    of_state[0] += gradient[0];
+    of_state[1] += gradient[1];
+    s->at_zero[s->count] = vec_of(0.0);
+    s->stage_of[s->count] = stage;
+    ++s->count;
+}
+
+/* From the state behind a stage to its own state and inputs. */
+static void carry_back(const gtmr_controller *c, int stage, sweep *s)
+{
+    static const double zeros[LD_XU] = {0.0};
+    const interval *at = &c->intervals[stage];
+    const coefficients body = {s->later[0], LD_X, 1};
+    const beginning none = {zeros, 0, 1.0}, margins = {s->back[0], LD_XU, 1.0};
+    const int with_margins = with_margin_gradient(c);
+    ALIGNED double rotors[LD_X];
+    for (int j = 0; j < LD_X; ++j) {
+        rotors[j] = j >= BODY && j < N_X ? 1.0 : 0.0;
+    }
+    for (int i = 0; i < s->count && with_margins; ++i) {
+        memcpy(s->back[i], gtmr_margin_gradient(c, s->stage_of[i] + 1)[stage], sizeof s->back[i]);
+    }
+    combine_from(s->count, LD_XU, BODY, body, at->jacobian[0], LD_XU,
+                 with_margins ? margins : none, s->back[0], LD_XU);
+    for (int i = 0; i < s->count; ++i) {
+        double *later = s->later[i], *back = s->back[i];
+        add_products(&s->at_zero[i], later, at->defect, LD_X);
+        for (int r = 0; r < N_U; ++r) {
+            s->by_input[i][r] = back[N_X + r] + PERIOD_S * later[BODY + r];
+        }
+        for (int j = 0; j < LD_X; j += VEC) {
+            store(back + j, load(back + j) + load(rotors + j) * load(later + j));
+        }
+    }
+}
+
+/* Let a stage's inputs follow their law: what they do becomes what its state and v do. */
+static void close_loop(const gtmr_controller *c, int stage, sweep *s)
+{
+    static const double zeros[LD_U] = {0.0};
+    const law *at = law_of(c, stage);
+    const coefficients inputs = {s->by_input[0], LD_U, 1}, free = {s->minus[0], LD_U, 1};
+    const beginning none = {zeros, 0, 1.0}, from = {s->back[0], LD_XU, 1.0};
+    ALIGNED double whitening[N_U][LD_U] = {{0.0}};
+    if (has_slopes(at)) {
+        ALIGNED double slopes[N_U][LD_X] = {{0.0}};
+        for (int r = 0; r < N_U; ++r) {
+            slopes[r][BODY + r] = at->slope[r];
+        }
+        combine(s->count, LD_X, N_U, inputs, slopes[0], LD_X, s->back[0], LD_XU);
+    }
+    UNROLL for (int r = 0; r < N_U; ++r)
+    {
+        UNROLL for (int j = 0; j < N_U; ++j)
+        {
+            whitening[j][r] = -at->whitening[r][j];
+        }
+    }
+    combine_from(s->count, LD_U, N_U, inputs, whitening[0], LD_U, none, s->minus[0], LD_U);
+    combine_from(s->count, LD_X, N_U, free, at->Z[0], LD_X, from, s->later[0], LD_X);
+    for (int i = 0; i < s->count; ++i) {
+        add_products(&s->at_zero[i], s->minus[i], at->z, LD_U);
+        add_products(&s->at_zero[i], s->by_input[i], at->offset, LD_U);
+    }
+}
+
+static void keep_rows(gtmr_controller *c, int stage, sweep *s)
+{
+    const int before = stage * N_U;
+    for (int i = 0; i < s->count; ++i) {
+        double *row = c->rows[row_of(s->stage_of[i], CLEARANCE)];
+        for (int j = 0; j < LD_U; j += VEC) {
+            store(s->minus[i] + j, -load(s->minus[i] + j));
+        }
+        memcpy(row + before, s->minus[i], N_U * sizeof(double));
+        memcpy(c->by_input[s->stage_of[i]] + before, s->by_input[i], N_U * sizeof(double));
+    }
+}
+
+/* The rows of the clearances that count and their values at v = 0, by one sweep backwards. */
+static void clearance_rows(gtmr_controller *c, const double *dx0)
+{
+    sweep s;
+    ALIGNED double start[LD_X] = {0.0};
+    if (with_margin_gradient(c)) {
+        gtmr_find_margin_gradients(c);
+    }
+    s.count = 0;
+    memset(s.by_input, 0, sizeof s.by_input);
+    for (int k = STAGES - 1; k >= 0; --k) {
+        if (c->counts[k]) {
+            begin_row(c, k, &s);
+        }
+        carry_back(c, k, &s);
+        close_loop(c, k, &s);
+        keep_rows(c, k, &s);
+    }
+    memcpy(start, dx0, N_X * sizeof(double));
+    for (int i = 0; i < s.count; ++i) {
+        const int row = row_of(s.stage_of[i], CLEARANCE);
+        add_products(&s.at_zero[i], s.later[i], start, LD_X);
+        c->value[row] = c->clearances[s.stage_of[i] + 1].residual + sum(s.at_zero[i]);
+        measure_row(c, row);
+    }
+}
+
+void gtmr_condense(gtmr_controller *c, const double *dx0)
 {
     response of;
     memset(of, 0, sizeof of);
@@ -130,122 +208,31 @@ void gtmr_condense(gtmr_controller *c)
         input_rows(c, i, of);
         advance_body(c, i, of);
         speed_rows(c, i, of);
-        clearance_row(c, i, of);
-        if (with_margin_gradient(c)) {
-            add_margin_row(c, i);
+        for (int r = 0; r < 2 * N_U; ++r) {
+            measure_row(c, row_of(i, r));
         }
+        c->counts[i] = 1;
     }
-    for (int i = 0; i < N_ROWS; ++i) {
-        measure_row(c, i);
-    }
+    clearance_rows(c, dx0);
     c->only_clearances = 0;
 }
 
-/* Before it all inputs are held, so that no row has an entry there. */
-static int first_free_stage(const gtmr_controller *c)
-{
-    for (int i = 0; i < c->held_stages; ++i) {
-        for (int r = 0; r < N_U; ++r) {
-            if (c->held[i][r] == FREE) {
-                return i;
-            }
-        }
-    }
-    return c->held_stages;
-}
-
-/* The rows of all clearances with their margins, by one backward sweep. */
-static void clearance_rows(gtmr_controller *c)
-{
-    static const double zero[PADDED(N_U)] = {0.0};
-    double later[STAGES][LD_X], back[STAGES][LD_XU];
-    const int first = first_free_stage(c);
-    memset(later, 0, sizeof later);
-    for (int k = STAGES - 1; k >= first; --k) {
-        const interval *stage = &c->intervals[k];
-        const law *at = law_of(c, k);
-        const int count = STAGES - k;
-        double(*from)[LD_X] = later + k, (*to)[LD_XU] = back + k;
-        if (with_margin_gradient(c)) {
-            memcpy(from[0], gtmr_margin_gradient(c, k + 1)[k + 1], N_X * sizeof(double));
-        }
-        from[0][0] += c->clearances[k + 1].gradient[0];
-        from[0][1] += c->clearances[k + 1].gradient[1];
-        for (int i = 0; i < count; ++i) {
-            if (with_margin_gradient(c)) {
-                memcpy(to[i], gtmr_margin_gradient(c, k + i + 1)[k], sizeof to[i]);
-            } else {
-                memset(to[i], 0, sizeof to[i]);
-            }
-            for (int j = 0; j < N_U; ++j) {
-                to[i][BODY + j] += from[i][BODY + j];
-                to[i][N_X + j] += PERIOD_S * from[i][BODY + j];
-            }
-        }
-        const coefficients body = {from[0], LD_X, 1};
-        combine(count, LD_XU, BODY, body, stage->jacobian[0], LD_XU, to[0], LD_XU);
-        double minus[STAGES][PADDED(N_U)], negative[N_U][PADDED(N_U)] = {{0.0}};
-        for (int r = 0; r < N_U; ++r) {
-            for (int j = 0; j <= r; ++j) {
-                negative[j][r] = -at->whitening[r][j];
-            }
-        }
-        const coefficients of_inputs = {to[0] + N_X, LD_XU, 1};
-        const beginning none = {zero, 0, 1.0};
-        combine_from(count, PADDED(N_U), N_U, of_inputs, negative[0], PADDED(N_U), none, minus[0],
-                     PADDED(N_U));
-        for (int i = 0; i < count; ++i) {
-            double *row = c->rows[row_of(k + i, CLEARANCE)] + k * N_U;
-            for (int r = 0; r < N_U; ++r) {
-                row[r] = -minus[i][r];
-                to[i][BODY + r] += at->slope[r] * to[i][N_X + r];
-            }
-        }
-        const coefficients inputs = {minus[0], PADDED(N_U), 1};
-        const beginning held = {to[0], LD_XU, 1.0};
-        combine_from(count, LD_X, N_U, inputs, at->Z[0], LD_X, held, from[0], LD_X);
-    }
-    for (int i = 0; i < STAGES; ++i) {
-        const int zeros = i < first ? (i + 1) * N_U : first * N_U;
-        memset(c->rows[row_of(i, CLEARANCE)], 0, zeros * sizeof(double));
-    }
-}
-
-void gtmr_condense_clearances(gtmr_controller *c)
+void gtmr_condense_clearances(gtmr_controller *c, const double *dx0)
 {
     memset(c->inverse_norm, 0, sizeof c->inverse_norm);
-    clearance_rows(c);
-    for (int i = 0; i < STAGES; ++i) {
-        measure_row(c, row_of(i, CLEARANCE));
-    }
+    clearance_rows(c, dx0);
     c->only_clearances = 1;
 }
 
-void gtmr_clearance_forces(gtmr_controller *c, double forces[STAGES][N_U])
+void gtmr_clearance_forces(const gtmr_controller *c, double forces[STAGES][N_U])
 {
-    double back[STAGES + 1][LD_XU], costate[LD_XU];
-    memset(back, 0, sizeof back);
-    for (int i = 1; i <= STAGES; ++i) {
-        const double by = c->last.multiplier[row_of(i - 1, CLEARANCE)];
-        if (by != 0.0) {
-            back[i][0] += by * c->clearances[i].gradient[0];
-            back[i][1] += by * c->clearances[i].gradient[1];
-            if (with_margin_gradient(c)) {
-                const double(*gradient)[LD_XU] = gtmr_margin_gradient(c, i);
-                for (int k = 0; k <= i; ++k) {
-                    add_scaled(back[k], by, gradient[k], LD_XU);
-                }
+    memset(forces, 0, STAGES * sizeof forces[0]);
+    for (int i = 0; i < STAGES; ++i) {
+        const double by = c->last.multiplier[row_of(i, CLEARANCE)];
+        for (int k = 0; k <= i && by != 0.0; ++k) {
+            for (int r = 0; r < N_U; ++r) {
+                forces[k][r] += by * c->by_input[i][k * N_U + r];
             }
-        }
-    }
-    memcpy(costate, back[STAGES], sizeof costate);
-    for (int k = STAGES - 1; k >= 0; --k) {
-        double row[N_U] = {0.0};
-        carry_back(&c->intervals[k], costate, back[k]);
-        memcpy(forces[k], back[k] + N_X, sizeof forces[k]);
-        close_loop(law_of(c, k), back[k], row, costate);
-        for (int r = 0; r < N_U; ++r) {
-            c->v[k * N_U + r] = -row[r];
         }
     }
 }

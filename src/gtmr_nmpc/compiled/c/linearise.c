@@ -9,11 +9,17 @@
 /* Dynamics and cost along the iterate, as many shooting intervals at once as a register holds. */
 #include <string.h>
 
+#include "combine.h"
 #include "workspace.h"
 
-/* Where the model's sparse outputs go. */
-static const unsigned short JACOBIAN_AT[JACOBIAN_NONZEROS] = {JACOBIAN_PLACES(LD_XU)};
-static const unsigned short DF_DZETA_AT[DF_DZETA_NONZEROS] = {DF_DZETA_PLACES(LD_ZETA)};
+/* Where the model's sparse outputs go: from a nonzero, to an entry. */
+typedef struct {
+    unsigned short from;
+    unsigned short to;
+} move;
+
+static const move JACOBIAN_MOVE[JACOBIAN_NONZEROS] = {JACOBIAN_MOVES(LD_XU)};
+static const move DF_DZETA_MOVE[DF_DZETA_NONZEROS] = {DF_DZETA_MOVES(LD_ZETA)};
 static const short OUTPUT_STATE[N_H] = {OUTPUT_STATES};
 
 static double *lane(vec *lanes, int entry, int which)
@@ -76,12 +82,15 @@ static void take(gtmr_controller *c, int stage, int which)
     for (int j = 0; j < 3; ++j, from += VEC) {
         to->acceleration[j] = *from;
     }
-    for (int j = 0; j < JACOBIAN_NONZEROS; ++j, from += VEC) {
-        jacobian[JACOBIAN_AT[j]] = *from;
+    UNROLL_ALL for (int j = 0; j < JACOBIAN_NONZEROS; ++j)
+    {
+        jacobian[JACOBIAN_MOVE[j].to] = from[JACOBIAN_MOVE[j].from * VEC];
     }
+    from += JACOBIAN_NONZEROS * VEC;
     if (is_robust(c)) {
-        for (int j = 0; j < DF_DZETA_NONZEROS; ++j, from += VEC) {
-            dF_dzeta[DF_DZETA_AT[j]] = *from;
+        UNROLL_ALL for (int j = 0; j < DF_DZETA_NONZEROS; ++j)
+        {
+            dF_dzeta[DF_DZETA_MOVE[j].to] = from[DF_DZETA_MOVE[j].from * VEC];
         }
     }
 }

@@ -12,14 +12,23 @@
 #include "combine.h"
 #include "workspace.h"
 
+/* By the structure of [A B]: positions go through, and rates depend on none but rates. */
 static void propagate_sensitivities(gtmr_controller *c)
 {
     memset(c->Pi[0], 0, sizeof c->Pi[0]);
     for (int i = 0; i < STAGES; ++i) {
         const interval *at = &c->intervals[i];
-        memcpy(c->Pi[i + 1], at->dF_dzeta, sizeof c->Pi[0]);
-        const coefficients A = {at->jacobian[0], LD_XU, 1};
-        combine(BODY, LD_ZETA, BODY, A, c->Pi[i][0], LD_ZETA, c->Pi[i + 1][0], LD_ZETA);
+        double(*now)[LD_ZETA] = c->Pi[i], (*next)[LD_ZETA] = c->Pi[i + 1];
+        const coefficients A = {at->jacobian[0] + ETA, LD_XU, 1};
+        const coefficients of_omega = {at->jacobian[OMEGA] + OMEGA, LD_XU, 1};
+        const beginning direct = {at->dF_dzeta[0], LD_ZETA, 1.0};
+        const beginning direct_of_omega = {at->dF_dzeta[OMEGA], LD_ZETA, 1.0};
+        combine_from(OMEGA, LD_ZETA, BODY - ETA, A, now[ETA], LD_ZETA, direct, next[0], LD_ZETA);
+        combine_from(BODY - OMEGA, LD_ZETA, BODY - OMEGA, of_omega, now[OMEGA], LD_ZETA,
+                     direct_of_omega, next[OMEGA], LD_ZETA);
+        for (int r = 0; r < ETA; ++r) {
+            add_scaled(next[r], 1.0, now[r], LD_ZETA);
+        }
     }
 }
 
@@ -43,16 +52,6 @@ void gtmr_clearance_at(const gtmr_parameters *parameters, const double *x, doubl
     gtmr_model_clearance(at, constraint);
 }
 
-/* J_yx times column j of a matrix of as many rows as the body has states. */
-static double by_gradient(const clearance *y, const double *matrix, int row_length, int j)
-{
-    double total = 0.0;
-    for (int k = CLEARANCE_STATES - 1; k >= 0; --k) {
-        total += y->gradient[k] * matrix[CLEARANCE_STATE[k] * row_length + j];
-    }
-    return total;
-}
-
 void gtmr_clearance_along_iterate(gtmr_controller *c)
 {
     const gtmr_parameters *given = &c->parameters;
@@ -66,12 +65,17 @@ void gtmr_clearance_along_iterate(gtmr_controller *c)
         memcpy(y->gradient, constraint + 1, sizeof y->gradient);
         y->alpha_p = c->margin_scale * given->eps_s_m;
         y->alpha_g = c->margin_scale * given->gust_m * i * i;
+        double Pi_y[LD_ZETA] = {0.0};
+        for (int k = CLEARANCE_STATES - 1; k >= 0 && is_robust(c); --k) {
+            add_scaled(Pi_y, y->gradient[k], c->Pi[i][CLEARANCE_STATE[k]], LD_ZETA);
+        }
         for (int j = 0; j < N_ZETA; ++j) {
-            const double Pi_y = is_robust(c) ? by_gradient(y, c->Pi[i][0], LD_ZETA, j) : 0.0;
             const double width = given->half_widths[j];
-            const double counts = fabs(Pi_y) * width > ZERO_MARGIN;
-            y->signs[j] = counts * c->margin_scale * sign(Pi_y) * width;
-            y->by_channel[j] = fabs(Pi_y) * (c->margin_scale * width);
+            if (with_margin_gradient(c)) {
+                const double counts = fabs(Pi_y[j]) * width > ZERO_MARGIN;
+                y->signs[j] = counts * c->margin_scale * sign(Pi_y[j]) * width;
+            }
+            y->by_channel[j] = fabs(Pi_y[j]) * (c->margin_scale * width);
             y->alpha_p += y->by_channel[j];
         }
         y->residual = constraint[0] + y->alpha_p + y->alpha_g;
@@ -104,180 +108,4 @@ void gtmr_tighten(gtmr_controller *c, const double *alpha)
         y->residual = constraint[0] + alpha[i];
     }
     gtmr_note_prepared(c);
-}
-
-/* Pi s: how the state moves when zeta goes to its worst vertex. */
-static void worst_direction(const gtmr_controller *c, int stage, const double *signs,
-                            double *direction)
-{
-    for (int r = 0; r < BODY; ++r) {
-        direction[r] = 0.0;
-        for (int j = 0; j < N_ZETA; ++j) {
-            direction[r] += c->Pi[stage][r][j] * signs[j];
-        }
-    }
-}
-
-/* d(J_yx direction)/dx: the clearance's gradient turns as the vehicle goes around the tower. */
-static void curvature(const double *x, const double *direction, double *of)
-{
-    double at[2 * CLEARANCE_LENGTH];
-    memcpy(at, x, CLEARANCE_LENGTH * sizeof(double));
-    memcpy(at + CLEARANCE_LENGTH, direction, CLEARANCE_LENGTH * sizeof(double));
-    gtmr_model_curvature(at, of);
-}
-
-static void put(vec *lanes, int which, const double *from, int count)
-{
-    for (int j = 0; j < count; ++j) {
-        ((double *)(lanes + j))[which] = from[j];
-    }
-}
-
-static void get(const vec *lanes, int which, double *to, int count)
-{
-    for (int j = 0; j < count; ++j) {
-        to[j] = ((const double *)(lanes + j))[which];
-    }
-}
-
-static int smaller(int a, int b)
-{
-    return a < b ? a : b;
-}
-
-/* Second derivatives of F, for intervals 0..last-1, along Pi s and the step. */
-static void bending(gtmr_controller *c, const double *signs, int last, double to[][BODY])
-{
-    for (int first = 0; first < last; first += VEC) {
-        for (int which = 0; which < VEC; ++which) {
-            const int k = smaller(first + which, last - 1);
-            double direction[BODY];
-            worst_direction(c, k, signs, direction);
-            vec *in = c->lanes_in;
-            put(in, which, c->x[k], N_X);
-            put(in += N_X, which, c->u[k], N_U);
-            put(in += N_U, which, direction, BODY);
-            put(in += BODY, which, signs, N_ZETA);
-            put(in + N_ZETA, which, c->step[k], N_XU);
-        }
-        gtmr_model_bending(c->lanes_in, c->lanes_out);
-        for (int which = 0; which < smaller(VEC, last - first); ++which) {
-            get(c->lanes_out, which, to[first + which], BODY);
-        }
-    }
-}
-
-/* Change of J_yx Pi s along the step, for every stage whose signs are those of `like`. */
-static void change_with_signs(gtmr_controller *c, int like, int last, double *change)
-{
-    const double *signs = c->clearances[like].signs;
-    double bent[STAGES][BODY], turned[LD_XU] = {0.0};
-    bending(c, signs, last, bent);
-    for (int i = 1; i <= last; ++i) {
-        const clearance *y = &c->clearances[i];
-        double next[LD_XU] = {0.0}, direction[BODY], turn[CLEARANCE_STATES];
-        for (int r = 0; r < BODY; ++r) {
-            next[r] = bent[i - 1][r] + dot(c->intervals[i - 1].jacobian[r], turned, LD_XU);
-        }
-        memcpy(turned, next, sizeof turned);
-        if (memcmp(y->signs, signs, sizeof y->signs) == 0) {
-            worst_direction(c, i, signs, direction);
-            curvature(c->x[i], direction, turn);
-            change[i] = by_gradient(y, turned, 1, 0);
-            for (int k = 0; k < CLEARANCE_STATES; ++k) {
-                change[i] += turn[k] * c->step[i][CLEARANCE_STATE[k]];
-            }
-        }
-    }
-}
-
-/* The same by gradients, where all are known. */
-static void change_by_gradients(gtmr_controller *c, double *change)
-{
-    for (int i = 1; i <= STAGES; ++i) {
-        const double(*gradient)[LD_XU] = gtmr_margin_gradient(c, i);
-        change[i] = dot(gradient[i], c->step[i], LD_X);
-        for (int k = 0; k < i; ++k) {
-            change[i] += dot(gradient[k], c->step[k], LD_XU);
-        }
-    }
-}
-
-void gtmr_margin_change_along_step(gtmr_controller *c, double *change)
-{
-    int done[STAGES + 1] = {0}, known = 1;
-    for (int i = 1; i <= STAGES; ++i) {
-        known &= c->has_margin_gradient[i];
-    }
-    if (known) {
-        change_by_gradients(c, change);
-        return;
-    }
-    for (int i = 1; i <= STAGES; ++i) {
-        int last = i;
-        for (int j = i; !done[i] && j <= STAGES; ++j) {
-            if (memcmp(c->clearances[j].signs, c->clearances[i].signs,
-                       sizeof c->clearances[j].signs) == 0) {
-                last = j;
-                done[j] = j > i;
-            }
-        }
-        if (!done[i]) {
-            change_with_signs(c, i, last, change);
-        }
-    }
-}
-
-/* J_yx of a stage carried back to the end of every interval before it. */
-static void costates(const gtmr_controller *c, int stage, double lambda[][LD_XU])
-{
-    memset(lambda[stage - 1], 0, sizeof lambda[0]);
-    for (int k = 0; k < CLEARANCE_STATES; ++k) {
-        lambda[stage - 1][CLEARANCE_STATE[k]] = c->clearances[stage].gradient[k];
-    }
-    for (int k = stage - 2; k >= 0; --k) {
-        memset(lambda[k], 0, sizeof lambda[0]);
-        const coefficients later = {lambda[k + 1], 0, 1};
-        combine(1, LD_XU, BODY, later, c->intervals[k + 1].jacobian[0], LD_XU, lambda[k], LD_XU);
-    }
-}
-
-static void find_margin_gradient(gtmr_controller *c, int stage, double to[][LD_XU])
-{
-    const clearance *y = &c->clearances[stage];
-    double lambda[STAGES][LD_XU], direction[BODY], turn[CLEARANCE_STATES];
-    costates(c, stage, lambda);
-    for (int first = 0; first < stage; first += VEC) {
-        for (int which = 0; which < VEC; ++which) {
-            const int k = smaller(first + which, stage - 1);
-            worst_direction(c, k, y->signs, direction);
-            vec *in = c->lanes_in;
-            put(in, which, c->x[k], N_X);
-            put(in += N_X, which, c->u[k], N_U);
-            put(in += N_U, which, lambda[k], BODY);
-            put(in += BODY, which, direction, BODY);
-            put(in + BODY, which, y->signs, N_ZETA);
-        }
-        gtmr_model_adjoint(c->lanes_in, c->lanes_out);
-        for (int which = 0; which < smaller(VEC, stage - first); ++which) {
-            get(c->lanes_out, which, to[first + which], N_XU);
-        }
-    }
-    memset(to[stage], 0, sizeof to[stage]);
-    worst_direction(c, stage, y->signs, direction);
-    curvature(c->x[stage], direction, turn);
-    for (int k = 0; k < CLEARANCE_STATES; ++k) {
-        to[stage][CLEARANCE_STATE[k]] = turn[k];
-    }
-}
-
-const double (*gtmr_margin_gradient(gtmr_controller *c, int stage))[LD_XU]
-{
-    double(*rows)[LD_XU] = c->margin_gradient + stage * (stage + 1) / 2;
-    if (!c->has_margin_gradient[stage]) {
-        find_margin_gradient(c, stage, rows);
-        c->has_margin_gradient[stage] = 1;
-    }
-    return (const double(*)[LD_XU])rows;
 }

@@ -25,9 +25,6 @@
 #define GTMR_MAX_GUESSES 10
 #endif
 
-/* A clearance that is broken by less is kept [m]. */
-#define CLEARANCE_ROUNDING 1e-14
-
 /* Swaps between two bounds after which a rotor is taken to be at both. */
 enum { SWAPS = 3 };
 
@@ -185,7 +182,7 @@ static void settle_out_of_reach(gtmr_controller *c)
 {
     for (int i = 0; i < STAGES; ++i) {
         const int row = row_of(i, CLEARANCE);
-        if (c->inverse_norm[row] == 0.0 && c->value[row] > 0.0) {
+        if (c->counts[i] && c->inverse_norm[row] == 0.0 && c->value[row] > 0.0) {
             c->last.multiplier[row] =
                 c->parameters.slack_l1 + 2.0 * c->parameters.slack_l2 * c->value[row];
         }
@@ -198,27 +195,24 @@ static void settle_out_of_reach(gtmr_controller *c)
  */
 static int solve_clearances(gtmr_controller *c, const double *dx0, double forces[STAGES][N_U])
 {
-    double along[STAGES + 1];
-    int matter = 0;
-    gtmr_rollout(c, dx0, NULL);
-    gtmr_clearances_along_step(c, along);
+    int any = 0;
     for (int i = 0; i < STAGES; ++i) {
         const int row = row_of(i, CLEARANCE);
-        c->value[row] = along[i + 1];
-        matter |= !(along[i + 1] <= CLEARANCE_ROUNDING);
-        c->multiplier[row] = c->last.multiplier[row];
+        any |= c->counts[i];
+        if (c->guesses > 1) {
+            c->multiplier[row] = c->last.multiplier[row];
+        }
         c->last.multiplier[row] = 0.0;
     }
     memset(c->v, 0, sizeof c->v);
-    memset(forces, 0, STAGES * sizeof forces[0]);
-    if (matter) {
-        gtmr_condense_clearances(c);
+    if (any) {
+        gtmr_condense_clearances(c, dx0);
         if (gtmr_active_set_solve(c) != 0) {
             return 0;
         }
         settle_out_of_reach(c);
-        gtmr_clearance_forces(c, forces);
     }
+    gtmr_clearance_forces(c, forces);
     return 1;
 }
 
@@ -250,7 +244,7 @@ static int change_one(gtmr_controller *c, guess last)
 
 int gtmr_pivot(gtmr_controller *c, const double *dx0)
 {
-    double forces[STAGES][N_U];
+    double forces[STAGES][N_U], along[STAGES + 1];
     guess last = {{0}}, before = {{0}};
     int last_change = gtmr_first_guess(c);
     for (c->guesses = 1; c->guesses <= GTMR_MAX_GUESSES; ++c->guesses) {
@@ -264,10 +258,12 @@ int gtmr_pivot(gtmr_controller *c, const double *dx0)
         memcpy(before, last, sizeof last);
         memcpy(last, c->held, sizeof last);
         last_change = forward(c, dx0, forces);
-        if (last_change == NONE) {
+        gtmr_clearances_along_step(c, along);
+        const int more = gtmr_count_broken(c, along);
+        if (last_change == NONE && !more) {
             return 1;
         }
-        if (c->guesses > 1 && memcmp(c->held, before, sizeof before) == 0) {
+        if (last_change != NONE && c->guesses > 1 && memcmp(c->held, before, sizeof before) == 0) {
             last_change = change_one(c, last);
         }
     }

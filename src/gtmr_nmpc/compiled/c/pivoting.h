@@ -48,7 +48,10 @@ int gtmr_lead_to_corner(gtmr_controller *c, int stage, int rotor, int side);
 
 /* stage.c */
 
-/* Minimise du' Q du / 2 + g' du within bounds, from a guess of the sides; 0 if it does not settle. */
+/*
+ * Minimise du' Q du / 2 + g' du within bounds, from a guess of the sides, and of the inputs: those at
+ * no side are right where the others are at their bounds. Returns 0 if it does not settle.
+ */
 int gtmr_solve_stage(const input_cost *cost, const double *g, const stage_bounds *within,
                      stage_solution *s);
 

@@ -25,19 +25,20 @@ void gtmr_riccati_factorise(gtmr_controller *c)
     for (int i = STAGES - 1; i >= 0; --i) {
         const interval *stage = &c->intervals[i];
         law *at = &c->laws[i];
+        const int goes_on = i > 0; /* Nobody asks for the cost to go of stage 0. */
         carry_back(c, stage, &to_go, &H);
         gradient(c, i, &to_go, g);
-        input_rows(stage, &H);
+        begin_inputs(stage, &H);
         eliminate(H.of_input, g + N_X);
-        state_rows(stage, &H, to_go.P);
-        for (int r = 0; r < N_U; ++r) {
-            memcpy(at->Z[r], H.of_input[r], N_X * sizeof(double));
+        if (goes_on) {
+            state_rows(stage, &H, to_go.P);
         }
-        memcpy(at->z, g + N_X, sizeof at->z);
-        whiten(H.of_input, at->whitening);
-        reduce(at, g, &to_go);
-        mirror(&to_go);
-        if (i % CHECKPOINT == 0) {
+        keep_law((const double(*)[LD_XU + LD_U])H.of_input, g + N_X, at);
+        if (goes_on) {
+            reduce(at, g, &to_go);
+            mirror(&to_go);
+        }
+        if (goes_on && i % CHECKPOINT == 0) {
             copy_value(&to_go, &c->checkpoints[i / CHECKPOINT]);
         }
     }

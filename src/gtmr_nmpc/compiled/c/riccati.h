@@ -15,8 +15,11 @@
 #include "combine.h"
 #include "workspace.h"
 
-/* First states of a kind, and where the rows of omega, which depend on no other, begin. */
-enum { ETA = 3, OMEGA = 9, OMEGA_COLUMNS = OMEGA / VEC * VEC };
+/* Where the rows of omega begin. */
+enum { OMEGA_COLUMNS = OMEGA / VEC * VEC };
+
+/* Rows of the inputs, beside each of which is one of the identity. */
+typedef double input_rows[N_U][LD_XU + LD_U];
 
 /* Hessian of stage cost plus cost to go with respect to [x u], and what leads to it. */
 typedef struct {
@@ -27,7 +30,8 @@ typedef struct {
     double weights[BODY][LD_X];
     double of_rotors[N_U][LD_XU];
     double of_inputs[N_U][LD_XU];
-    double of_input[N_U][LD_XU]; /* rows of the inputs */
+    input_rows of_input;
+    double identity[N_U][LD_U];
 } hessian;
 
 static void at_the_end(const gtmr_controller *c, value_function *to)
@@ -48,6 +52,9 @@ static void weigh(const gtmr_controller *c, hessian *H)
         H->weights[3 + j][3 + j] = 2.0 * w[9 + j];
         H->weights[6 + j][6 + j] = 2.0 * w[3 + j];
         H->weights[9 + j][9 + j] = 2.0 * w[12 + j];
+    }
+    for (int r = 0; r < N_U; ++r) {
+        H->identity[r][r] = 1.0;
     }
 }
 
@@ -101,11 +108,16 @@ static void carry_back(const gtmr_controller *c, const interval *at, const value
     }
 }
 
-static void input_rows(const interval *at, hessian *H)
+static void begin_inputs(const interval *at, hessian *H)
 {
     const coefficients B = {at->jacobian[0] + N_X, 1, LD_XU};
     const beginning from = {H->of_inputs[0], LD_XU, 1.0};
-    combine_from(N_U, LD_XU, BODY, B, H->W[0], LD_XU, from, H->of_input[0], LD_XU);
+    combine_from(N_U, LD_XU, BODY, B, H->W[0], LD_XU, from, H->of_input[0], LD_XU + LD_U);
+    for (int r = 0; r < N_U; ++r) {
+        for (int j = 0; j < LD_U; j += VEC) {
+            store(H->of_input[r] + LD_XU + j, load(H->identity[r] + j));
+        }
+    }
 }
 
 /* Rows of the states, up to the diagonal. */
@@ -139,53 +151,45 @@ static void gradient(const gtmr_controller *c, int stage, const value_function *
     for (int j = 0; j < N_U; ++j) {
         y[BODY + j] = next->p[BODY + j] + dot(next->P[BODY + j], at->defect, LD_X);
     }
-    memset(g, 0, LD_XU * sizeof(double));
-    for (int j = 0; j < N_X; ++j) {
-        g[j] = 2.0 * c->cost_gradient[stage][j] + (j >= BODY ? y[j] : 0.0);
-    }
-    for (int j = 0; j < N_U; ++j) {
-        g[N_X + j] = 2.0 * c->parameters.input_weight * c->u[stage][j] + PERIOD_S * y[BODY + j];
-    }
     const coefficients costate = {y, 0, 1};
-    combine(1, LD_XU, BODY, costate, at->jacobian[0], LD_XU, g, LD_XU);
+    const beginning cost = {c->cost_gradient[stage], 0, 2.0};
+    combine_from(1, LD_XU, BODY, costate, at->jacobian[0], LD_XU, cost, g, LD_XU);
+    for (int j = 0; j < N_U; ++j) {
+        const double u = c->u[stage][j];
+        g[BODY + j] += y[BODY + j];
+        g[N_X + j] += 2.0 * c->parameters.input_weight * u + PERIOD_S * y[BODY + j];
+    }
 }
 
 /*
  * Cholesky factorisation of the inputs' part of H, row by row, with all that is right of it: H
- * becomes [Z L'], g becomes z.
+ * becomes [Z L' C], C = L^-1, and g becomes z.
  */
-static void eliminate(double H[N_U][LD_XU], double *g)
+static void eliminate(input_rows H, double *g)
 {
     for (int j = 0; j < N_U; ++j) {
         /* Square roots wait for nothing that the next row needs. */
         const double inverse = 1.0 / H[j][N_X + j], scale = sqrt(inverse);
         for (int i = j + 1; i < N_U; ++i) {
             const double by = -inverse * H[j][N_X + i];
-            add_scaled(H[i], by, H[j], LD_XU);
+            add_scaled(H[i], by, H[j], LD_XU + LD_U);
             g[i] += by * g[j];
         }
-        for (int k = 0; k < LD_XU; k += VEC) {
+        for (int k = 0; k < LD_XU + LD_U; k += VEC) {
             store(H[j] + k, scale * load(H[j] + k));
         }
         g[j] *= scale;
     }
 }
 
-/* C = L^-1, of [Z L']. */
-static void whiten(double H[N_U][LD_XU], double C[N_U][N_U])
+/* What is kept of the elimination. */
+static void keep_law(const input_rows H, const double *g, law *at)
 {
-    for (int j = 0; j < N_U; ++j) {
-        C[j][j] = 1.0 / H[j][N_X + j];
+    for (int r = 0; r < N_U; ++r) {
+        memcpy(at->Z[r], H[r], N_X * sizeof(double));
+        memcpy(at->whitening[r], H[r] + LD_XU, sizeof at->whitening[r]);
     }
-    for (int j = 0; j < N_U; ++j) {
-        for (int i = j + 1; i < N_U; ++i) {
-            double entry = 0.0;
-            for (int k = j; k < i; ++k) {
-                entry -= H[k][N_X + i] * C[k][j];
-            }
-            C[i][j] = entry * C[i][i];
-        }
-    }
+    memcpy(at->z, g, N_U * sizeof(double));
 }
 
 /* Take away what the inputs save: P - Z' Z, p - Z' z. */

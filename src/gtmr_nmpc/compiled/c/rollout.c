@@ -12,26 +12,16 @@
 #include "combine.h"
 #include "workspace.h"
 
-/* C' of what a law adds in its coordinates. */
-static void input_of(const law *at, const double *free, double *du)
-{
-    for (int r = 0; r < N_U; ++r) {
-        du[r] = 0.0;
-        for (int k = r; k < N_U; ++k) {
-            du[r] += at->whitening[k][r] * free[k];
-        }
-    }
-}
-
 void gtmr_law_input(const law *at, const double *dx, const double *v, double *du)
 {
-    double free[N_U];
+    double free[N_U], inputs[LD_U] = {0.0};
     for (int r = 0; r < N_U; ++r) {
         free[r] = v[r] - at->z[r] - dot(at->Z[r], dx, LD_X);
     }
-    input_of(at, free, du);
+    const coefficients by = {free, 0, 1};
+    combine(1, LD_U, N_U, by, at->whitening[0], LD_U, inputs, LD_U);
     for (int r = 0; r < N_U; ++r) {
-        du[r] += at->offset[r] + at->slope[r] * dx[BODY + r];
+        du[r] = inputs[r] + at->offset[r] + at->slope[r] * dx[BODY + r];
     }
 }
 

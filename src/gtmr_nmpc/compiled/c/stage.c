@@ -55,11 +55,15 @@ int gtmr_solve_stage(const input_cost *cost, const double *g, const stage_bounds
                      stage_solution *s)
 {
     for (int round = 0; round < ROUNDS; ++round) {
-        int changes = 0;
+        int changes = 0, at_bounds = round == 0;
         for (int r = 0; r < N_U; ++r) {
-            s->du[r] = s->side[r] > 0 ? within->upper[r] : within->lower[r];
+            const double bound = s->side[r] > 0 ? within->upper[r] : within->lower[r];
+            at_bounds &= s->side[r] == 0 || fabs(s->du[r] - bound) < INPUT_ROUNDING;
+            s->du[r] = s->side[r] != 0 ? bound : s->du[r];
         }
-        solve_free(cost->Q, g, s);
+        if (!at_bounds) {
+            solve_free(cost->Q, g, s);
+        }
         for (int r = 0; r < N_U; ++r) {
             signed char side = 0;
             s->multiplier[r] = 0.0;

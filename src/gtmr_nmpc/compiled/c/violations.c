@@ -35,7 +35,9 @@ static void changes(const gtmr_controller *c, double *change)
                 change[first + N_U + j + r] = speed[j + r];
             }
         }
-        change[first + CLEARANCE] = dot(c->rows[first + CLEARANCE], c->v, length);
+        if (c->inverse_norm[first + CLEARANCE] != 0.0) {
+            change[first + CLEARANCE] = dot(c->rows[first + CLEARANCE], c->v, length);
+        }
     }
 }
 

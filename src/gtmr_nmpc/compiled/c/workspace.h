@@ -18,10 +18,15 @@ enum {
     N_U = ROTORS,     /* inputs */
     N_X = BODY + N_U, /* states; the last N_U integrate the inputs */
     N_XU = N_X + N_U,
+    /* First states of a kind. Positions go through a stage unchanged; rates depend on no other. */
+    ETA = 3,
+    OMEGA = 9,
     N_V = STAGES * N_U, /* all inputs of the horizon */
     N_THETA = 9,        /* force that stays, force that decays, torque */
     N_DISTURBED = 6,    /* force, torque */
+    LD_BODY = PADDED(BODY),
     LD_X = PADDED(N_X),
+    LD_U = PADDED(N_U),
     LD_XU = PADDED(N_XU),
     LD_ZETA = PADDED(N_ZETA),
     LD_V = PADDED(N_V),
@@ -62,9 +67,9 @@ enum { CHECKPOINT = 8 };
 /* The law of a stage, of the Riccati recursion; which inputs are held goes for it and those after. */
 typedef struct {
     ALIGNED double Z[N_U][LD_X]; /* of free inputs: du = C' (v - z - Z dx) */
-    double z[N_U];
-    double whitening[N_U][N_U]; /* C = L^-1, with L L' the Hessian of du */
-    double offset[N_U];         /* of held inputs: du = offset + slope dxi of the rotor */
+    double z[LD_U];
+    double whitening[N_U][LD_U]; /* C = L^-1, with L L' the Hessian of du */
+    double offset[LD_U];        /* of held inputs: du = offset + slope dxi of the rotor */
     double slope[N_U];
 } law;
 
@@ -187,13 +192,16 @@ struct gtmr_controller {
     ALIGNED value_function checkpoints[(STAGES - 1) / CHECKPOINT + 1];
     clearance clearances[STAGES + 1];
     double Pi[STAGES + 1][BODY][LD_ZETA]; /* eq. (8); rotor speeds do not depend on zeta */
-    double cost_gradient[STAGES + 1][N_X];
+    ALIGNED double cost_gradient[STAGES + 1][LD_XU]; /* half of it, by the state; zeros behind */
     ALIGNED double step[STAGES + 1][LD_XU]; /* [dx du], the step of the iterate */
 
     /* The QP in v, where its cost is |v|^2 / 2: rows, values at v = 0 and bounds. */
     ALIGNED double rows[N_ROWS][LD_V];
     double inverse_norm[N_ROWS]; /* 0 for a row that is left out */
     int only_clearances;
+    /* What the inputs do to the clearances that count. */
+    ALIGNED double by_input[STAGES][LD_V];
+    int counts[STAGES]; /* whether the clearance one stage on has a row, where only they have */
     double value[N_ROWS];
     double lower[N_ROWS];
     double upper[N_ROWS];
@@ -204,7 +212,7 @@ struct gtmr_controller {
     working_set active;
 
     /* Rows of one stage after the other, once they were asked for. */
-    int has_margin_gradient[STAGES + 1];
+    int has_margin_gradients;
     ALIGNED double margin_gradient[(STAGES + 1) * (STAGES + 2) / 2][LD_XU];
 
     vec lanes_in[MODEL_LANES_IN];
@@ -219,7 +227,7 @@ void gtmr_linearise(gtmr_controller *c, double t);
 void gtmr_evaluate_model(gtmr_controller *c);
 void gtmr_put_disturbance(gtmr_controller *c, int stage, int which);
 
-/* margins.c */
+/* margins.c, margin_gradients.c */
 
 /* In which states J_yx has its entries. */
 static const int CLEARANCE_STATE[CLEARANCE_STATES] = {CLEARANCE_STATE_LIST};
@@ -228,8 +236,10 @@ static const int CLEARANCE_STATE[CLEARANCE_STATES] = {CLEARANCE_STATE_LIST};
 void gtmr_clearance_at(const gtmr_parameters *parameters, const double *x, double *constraint);
 void gtmr_clearance_along_iterate(gtmr_controller *c);
 void gtmr_margin_change_along_step(gtmr_controller *c, double *change);
-/* Gradient of a stage's alpha_p in [x u] of the stages 0 to its own, u of the last being zero. */
-const double (*gtmr_margin_gradient(gtmr_controller *c, int stage))[LD_XU];
+/* Gradients of all alpha_p, unless they are known; that of a stage, in [x u] of the stages 0 to its
+ * own, u of the last being zero. */
+void gtmr_find_margin_gradients(gtmr_controller *c);
+const double (*gtmr_margin_gradient(const gtmr_controller *c, int stage))[LD_XU];
 
 /* riccati.c: the laws of all stages; with inputs held, if what is held changed up to a stage. */
 void gtmr_riccati_factorise(gtmr_controller *c);
@@ -244,18 +254,20 @@ void gtmr_rollout_within(gtmr_controller *c, const double *dx0, const double *v)
 void gtmr_law_input(const law *at, const double *dx, const double *v, double *du);
 void gtmr_advance(const interval *at, const double *now, double *next);
 
-/* condense.c: the rows of the inequalities in v; of the clearances alone, the others being as
- * good as absent. */
-void gtmr_condense(gtmr_controller *c);
-void gtmr_condense_clearances(gtmr_controller *c);
+/* condense.c: the rows of the inequalities in v; those of the clearances that count alone, with
+ * their values at v = 0, the others being as good as absent. */
+void gtmr_condense(gtmr_controller *c, const double *dx0);
+void gtmr_condense_clearances(gtmr_controller *c, const double *dx0);
 /* What the last multipliers of the clearances add to the gradients of the inputs. */
-void gtmr_clearance_forces(gtmr_controller *c, double forces[STAGES][N_U]);
+void gtmr_clearance_forces(const gtmr_controller *c, double forces[STAGES][N_U]);
 
 /* pivoting.c: the whole QP by its structure; 0 if it does not settle, after `guesses`. */
 int gtmr_pivot(gtmr_controller *c, const double *dx0);
 
-/* controller.c: the tightened clearances of stages 1 to N after the step [m]. */
+/* feedback.c: the tightened clearances of stages 1 to N after the step [m]. */
 void gtmr_clearances_along_step(gtmr_controller *c, double *along);
+/* Let those that are broken count; whether one did not. */
+int gtmr_count_broken(gtmr_controller *c, const double *along);
 
 /* working_set.c */
 
@@ -310,6 +322,16 @@ static inline int with_margin_gradient(const gtmr_controller *c)
 static inline const law *law_of(const gtmr_controller *c, int stage)
 {
     return stage < c->held_stages ? &c->held_laws[stage] : &c->laws[stage];
+}
+
+/* Whether an input follows from its rotor's speed. */
+static inline int has_slopes(const law *at)
+{
+    int any = 0;
+    for (int r = 0; r < N_U; ++r) {
+        any |= at->slope[r] != 0.0;
+    }
+    return any;
 }
 
 /* Rows that count: from the first on, so many apart. */
