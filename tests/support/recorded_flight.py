@@ -56,6 +56,6 @@ def recorded(name: str, mode: str = "robust", real_time: bool = False, switch: s
             graph.wait_until(lambda: flown_s() > 0.8)
             assert graph.set_parameter("nmpc", "weights.yaw", 30.0, client).successful
         graph.wait_until(lambda: sim.process.poll() is not None)
-        assert sim.process.returncode == 0, sim.output
+        assert sim.process.returncode == 0, (sim.process.returncode, sim.output)
         assert monitor.interrupt() == 0, monitor.output
     return bag
