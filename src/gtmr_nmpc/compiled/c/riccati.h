@@ -31,7 +31,7 @@ typedef struct {
     double of_rotors[N_U][LD_XU];
     double of_inputs[N_U][LD_XU];
     input_rows of_input;
-    double identity[N_U][LD_U];
+    double identity[N_U][LD_U]; /* what stands beside those */
 } hessian;
 
 static void at_the_end(const gtmr_controller *c, value_function *to)

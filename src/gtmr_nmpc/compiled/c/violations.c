@@ -35,9 +35,10 @@ static void changes(const gtmr_controller *c, double *change)
                 change[first + N_U + j + r] = speed[j + r];
             }
         }
-        if (c->inverse_norm[first + CLEARANCE] != 0.0) {
-            change[first + CLEARANCE] = dot(c->rows[first + CLEARANCE], c->v, length);
-        }
+        /* One that is left out has no row, or that of another step. */
+        const int row_counts = c->inverse_norm[first + CLEARANCE] != 0.0;
+        change[first + CLEARANCE] =
+            row_counts ? dot(c->rows[first + CLEARANCE], c->v, length) : 0.0;
     }
 }
 

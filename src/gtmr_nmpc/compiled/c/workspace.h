@@ -69,7 +69,7 @@ typedef struct {
     ALIGNED double Z[N_U][LD_X]; /* of free inputs: du = C' (v - z - Z dx) */
     double z[LD_U];
     double whitening[N_U][LD_U]; /* C = L^-1, with L L' the Hessian of du */
-    double offset[LD_U];        /* of held inputs: du = offset + slope dxi of the rotor */
+    double offset[LD_U];         /* of held inputs: du = offset + slope dxi of the rotor */
     double slope[N_U];
 } law;
 
